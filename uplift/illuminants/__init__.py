@@ -1,0 +1,1 @@
+"""Emission spectra of the families of lamps that an environment map may hold."""
