@@ -1,0 +1,501 @@
+"""pipeline.yaml → frozen settings. Every mistake is reported at once, with file and line.
+
+YAML is read by ruamel.yaml in its round-trip mode: no tag constructs an object, a key given twice is a mistake and
+every value keeps its line.
+"""
+
+from __future__ import annotations
+
+import difflib
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic.fields import FieldInfo
+
+from envcal.errors import EnvcalError
+
+#: A settings file longer than this is not one.
+MOST_BYTES = 1 << 20
+
+WorkingSpace = Literal["ITU-R BT.2020", "sRGB", "P3-D65", "ACEScg", "ACES2065-1", "Adobe Wide Gamut RGB"]
+LightType = Literal["daylight", "sunset", "led", "fluorescent", "incandescent", "smooth"]
+Indoor = Literal["auto", "led", "fluorescent", "incandescent"]
+
+
+def parse_wavelengths(text: str) -> tuple[float, float, float]:
+    """Return (start, stop, step) in nm of a text such as `380:780:5`; ValueError with a remedy otherwise."""
+    try:
+        start, stop, step = (float(part) for part in text.split(":"))
+    except ValueError:
+        raise ValueError(f"{text!r} is not start:stop:step in nm, such as 380:780:5") from None
+    if not (360 <= start < stop <= 830 and 1 <= step <= 50):
+        raise ValueError(f"{text!r} should rise within 360 to 830 nm in steps of 1 to 50 nm, such as 380:780:5")
+    if abs((stop - start) / step - round((stop - start) / step)) > 1e-9:
+        raise ValueError(f"{text!r}: the steps do not end on {stop:g} nm; change the step or an end")
+    return start, stop, step
+
+
+def _wavelengths(text: str) -> str:
+    parse_wavelengths(text)
+    return text
+
+
+Wavelengths = Annotated[str, AfterValidator(_wavelengths)]
+Pixel = tuple[float, float]
+Share = Annotated[float, Field(ge=0, le=1)]
+Frames = str | list[str]
+
+
+class Settings(BaseModel):
+    """Settings are frozen, and an unknown one is a mistake."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True, allow_inf_nan=False)
+
+
+class CaptureSettings(Settings):
+    """Which photographs there are."""
+
+    reference: Frames
+    """The RAW bracket with the colour chart and the D65 lamp in view: a pattern such as `shots/*.dng`, or a list."""
+    environment: Frames | dict[str, Frames] | None = None
+    """The bracket to turn into a map: a pattern or a list, or name → pattern for several shots. Left out: the
+    reference itself is the map."""
+
+
+class MergeSettings(Settings):
+    """RAW bracket → radiance in camera RGB."""
+
+    gain_e_per_dn: Annotated[float, Field(gt=0, le=1000)] | None = None
+    """Electrons per raw count. Left out: guessed from bit depth and ISO; it only ranks the weights of the frames."""
+    read_noise_e: Annotated[float, Field(gt=0, le=1000)] | None = None
+    """Read noise in electrons. Left out: 3."""
+    defects: bool = True
+    """Replace hot and dead photosites by their neighbours of the same colour."""
+
+
+class CorrectSettings(Settings):
+    """Chart found in the reference → camera RGB to working RGB."""
+
+    chart: Literal["auto"] | tuple[Pixel, Pixel, Pixel, Pixel] = "auto"
+    """`auto`, or the chart's corners in pixels: top left (dark skin), top right, bottom right, bottom left."""
+    reference: Literal["ColorChecker24 - After November 2014", "ColorChecker24 - Before November 2014"] = (
+        "ColorChecker24 - After November 2014"
+    )
+    """The published data of the chart's patches."""
+    fit: Literal["linear", "white-preserving"] = "linear"
+    """3×3 matrix by least squares, or the same with the white patch met exactly."""
+
+
+class LampRectangle(Settings):
+    """Where the lamp is, in pixels of the reference shot."""
+
+    rectangle: tuple[float, float, float, float]
+    """x, y, width, height in pixels; inside the lit area."""
+
+
+class LampOnChart(Settings):
+    """Where the lamp is, seen from the chart."""
+
+    chart_rectangle: tuple[float, float, float, float]
+    """x, y, width, height; 1 is the chart's width (for x) or height (for y), from its top left corner."""
+
+
+class BalanceSettings(Settings):
+    """Lamp of known spectrum found in the reference → von Kries adaptation."""
+
+    lamp: Literal["auto"] | LampRectangle | LampOnChart = "auto"
+    """`auto`, or where the D65 module is."""
+    transform: Literal["CAT16", "Bradford", "CAT02", "Von Kries", "XYZ Scaling", "RGB"] = "CAT16"
+    """The cone space in which the gains act."""
+    luminance: Literal["lamp", "keep"] = "lamp"
+    """`lamp`: the lamp reads exactly (1, 1, 1). `keep`: only its colour becomes white; 1 stays a white diffuser at
+    the chart."""
+
+
+class PanoramaSettings(Settings):
+    """Shots → one latitude-longitude map."""
+
+
+class DeclaredLight(Settings):
+    """What a person knows of one light."""
+
+    at: tuple[Share, Share]
+    """u, v from the top left of the map; the light is that of the cluster there."""
+    type: LightType | None = None
+    """Kind of lamp."""
+    cct: Annotated[float, Field(ge=500, le=200_000)] | None = None
+    """Correlated colour temperature in kelvin. Left out: taken from the map."""
+    spd: Path | None = None
+    """CSV of the measured spectrum: wavelength in nm, value; one line each."""
+    name: str = ""
+    """A name for the report."""
+
+    @model_validator(mode="after")
+    def _says_something(self) -> DeclaredLight:
+        if self.spd is not None and (self.type or self.cct):
+            raise ValueError("give either `spd`, a measured spectrum, or `type` and `cct`; not both")
+        if self.spd is None and self.type is None and self.cct is None:
+            raise ValueError("says nothing of the light: give `type`, `cct` or `spd`")
+        return self
+
+
+class ClusterSettings(Settings):
+    """Map → sky, clusters, colour temperatures, light spectra."""
+
+    indoor: Indoor = "auto"
+    """What undeclared indoor lights are. `auto` does not guess: such a light gets a smooth spectrum of its colour
+    temperature, which is the choice that harms least."""
+    most: Annotated[int, Field(ge=1, le=6)] = 6
+    """The largest number of clusters."""
+    estimator: Literal["robust", "paper"] = "robust"
+    """How a cluster's colour temperature is found: from the light seen directly where it is (robust), or as in the
+    paper from the cluster's mean."""
+    lights: list[DeclaredLight] = []
+    """What is known of the lights."""
+
+
+class UpliftSettings(Settings):
+    """Map and lights → three coefficients and a scale per pixel."""
+
+    method: Literal["constrained", "scaled"] = "constrained"
+    """`constrained`: under the emission spectrum of each pixel's light. `scaled`: the usual uplift under D65, as
+    renderers do it, for comparison."""
+    nodes: Annotated[int, Field(ge=8, le=512)] = 64
+    """Nodes along a side of the look-up table; it only sets the starting point of the solver."""
+    brightness: Annotated[float, Field(ge=1.05, le=64)] = 2.0
+    """The brightest component of a pixel is 1/brightness of what a white reflectance would give."""
+
+
+class SpectraSettings(Settings):
+    """Coefficients → spectral radiance."""
+
+    wavelengths: Wavelengths = "380:780:10"
+    """start:stop:step in nm, within the grid of the emissions."""
+    half: bool = True
+    """16-bit floats, half the size; more than 65504 is refused."""
+
+
+class Pipeline(Settings):
+    """The settings of a whole run."""
+
+    capture: CaptureSettings
+    output: Path = Path("output")
+    """Folder of everything that is written."""
+    working_space: WorkingSpace = "ITU-R BT.2020"
+    """Linear RGB space of all images after `correct`."""
+    wavelengths: Wavelengths = "380:780:5"
+    """Grid on which spectra are integrated, start:stop:step in nm."""
+    observer: Literal["CIE 1931 2 Degree Standard Observer", "CIE 1964 10 Degree Standard Observer"] = (
+        "CIE 1931 2 Degree Standard Observer"
+    )
+    merge: MergeSettings = MergeSettings()
+    correct: CorrectSettings = CorrectSettings()
+    balance: BalanceSettings = BalanceSettings()
+    panorama: PanoramaSettings = PanoramaSettings()
+    cluster: ClusterSettings = ClusterSettings()
+    uplift: UpliftSettings = UpliftSettings()
+    spectra: SpectraSettings = SpectraSettings()
+
+    @model_validator(mode="after")
+    def _bands_lie_on_the_grid(self) -> Pipeline:
+        low, high, _ = parse_wavelengths(self.wavelengths)
+        start, stop, _ = parse_wavelengths(self.spectra.wavelengths)
+        if start < low or stop > high:
+            raise ValueError(
+                f"spectra.wavelengths {self.spectra.wavelengths} leaves the grid {self.wavelengths}, outside which "
+                f"no emission is known; narrow it, or widen `wavelengths`"
+            )
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """A pipeline file as read: its settings, and the frames of each shot, every path absolute."""
+
+    path: Path
+    settings: Pipeline
+    output: Path
+    reference: tuple[Path, ...]
+    environments: Mapping[str, tuple[Path, ...]]
+    lights: tuple[DeclaredLight, ...]
+
+    @property
+    def shots(self) -> dict[str, tuple[Path, ...]]:
+        """Shot name → frames, the reference first."""
+        return {"reference": self.reference, **self.environments}
+
+
+def schema() -> str:
+    """The JSON schema of pipeline.yaml, for editors."""
+    return json.dumps(Pipeline.model_json_schema(), indent=1, ensure_ascii=False) + "\n"
+
+
+def load(path: Path, *, overrides: Sequence[str] = ()) -> Loaded:
+    """Read a pipeline file; `overrides` are `key.key=value` with the value in YAML, as `--set` gives them.
+
+    Relative paths in the file start from the file's own folder. Raises an `EnvcalError` listing every mistake.
+    """
+    tree = _read_yaml(path)
+    if tree is None or not isinstance(tree, dict):
+        raise EnvcalError(f"{path}: holds no settings; at least `capture: {{reference: shots/*.dng}}` is needed.")
+    set_by: dict[tuple[str, ...], str] = {}
+    for text in overrides:
+        set_by[_override(tree, text)] = text
+    try:
+        settings = Pipeline.model_validate(_plain(tree))
+    except ValidationError as error:
+        raise EnvcalError("\n".join(_mistakes(path, tree, error, set_by))) from None
+    return _resolve(path, tree, settings)
+
+
+def load_lights(path: Path) -> tuple[DeclaredLight, ...]:
+    """Read a `lights.yaml`: `lights: [...]`, as under `cluster` in a pipeline file."""
+
+    class Lights(Settings):
+        lights: list[DeclaredLight]
+
+    tree = _read_yaml(path)
+    try:
+        found = Lights.model_validate(_plain(tree) if isinstance(tree, dict) else {})
+    except ValidationError as error:
+        raise EnvcalError("\n".join(_mistakes(path, tree, error, {}, model=Lights))) from None
+    return tuple(_rooted(light, path.parent) for light in found.lights)
+
+
+def _rooted(light: DeclaredLight, folder: Path) -> DeclaredLight:
+    return light if light.spd is None else light.model_copy(update={"spd": folder / light.spd})
+
+
+def _read_yaml(path: Path) -> Any:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise EnvcalError(f"{path}: is larger than {MOST_BYTES >> 20} MiB; that is no settings file.")
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise EnvcalError(f"{path}: cannot be read ({error.strerror}). Give the path of a pipeline.yaml.") from error
+    except UnicodeDecodeError as error:
+        raise EnvcalError(
+            f"{path}: is not UTF-8 text ({error.reason} at byte {error.start}). Save it as UTF-8."
+        ) from error
+    try:
+        return YAML(typ="rt").load(io.StringIO(text))
+    except YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f":{mark.line + 1}" if mark else ""
+        problem = " ".join(str(getattr(error, "problem", None) or error).split())
+        raise EnvcalError(f"{path}{line}: is not YAML: {problem}.") from error
+    except RecursionError as error:
+        raise EnvcalError(f"{path}: is nested too deeply for a settings file.") from error
+
+
+def _plain(node: Any, depth: int = 0) -> Any:
+    """Ruamel's own types → plain ones, so that messages and validation see what the person wrote."""
+    if depth > 12:
+        raise EnvcalError("the settings are nested more than 12 deep; no setting is.")
+    if isinstance(node, dict):
+        return {str(k): _plain(v, depth + 1) for k, v in node.items()}
+    if isinstance(node, list):
+        return [_plain(v, depth + 1) for v in node]
+    for kind in (bool, int, float, str):
+        if isinstance(node, kind):
+            return kind(node)
+    return node if node is None else str(node)
+
+
+def _override(tree: dict[str, Any], text: str) -> tuple[str, ...]:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    name, equals, value = text.partition("=")
+    keys = tuple(part.strip() for part in name.split("."))
+    if not equals or not all(keys):
+        raise EnvcalError(f"--set {text}: expected key.key=value, such as --set uplift.method=scaled.")
+    try:
+        parsed = YAML(typ="safe").load(value)
+    except YAMLError:
+        raise EnvcalError(f"--set {text}: the value is not YAML; put quotes around it.") from None
+    node = tree
+    for key in keys[:-1]:
+        if not isinstance(node.get(key), dict):
+            node[key] = {}
+        node = node[key]
+    node[keys[-1]] = parsed
+    return keys
+
+
+def _mistakes(
+    path: Path,
+    tree: Any,
+    error: ValidationError,
+    set_by: Mapping[tuple[str, ...], str],
+    model: type[Settings] = Pipeline,
+) -> list[str]:
+    """One line per mistake, in the order of the file. A value that fails every branch of a union is told once."""
+    found: dict[tuple[str | int, ...], list[str]] = {}
+    for item in error.errors(include_url=False, include_context=True):
+        where = _path_in(tree, item["loc"])
+        if item["type"] == "extra_forbidden" or item["type"] == "missing":
+            where = tuple(item["loc"]) if _exists(tree, item["loc"][:-1]) else where
+        found.setdefault(where, []).append(_explain(item, where, model))
+    lines = []
+    for where, texts in found.items():
+        if any(other[: len(where)] == where and other != where for other in found):
+            continue  # the union as a whole fails because of the mistake inside it, which has a line of its own
+        keys = tuple(str(k) for k in where)
+        source = next((t for k, t in set_by.items() if keys[: len(k)] == k), None)
+        place = f"--set {source}" if source else f"{path}:{_line(tree, where)}"
+        name = ".".join(keys) or "the file as a whole"
+        told = dict.fromkeys(texts if len(texts) == 1 else [t for t in texts if t != "is missing"])
+        message = f"{place}: {name}: {', or '.join(told)}"
+        lines.append((_line(tree, where), message if message.endswith("?") else message + "."))
+    return [text for _, text in sorted(lines, key=lambda pair: pair[0])]
+
+
+def _exists(tree: Any, loc: Sequence[str | int]) -> bool:
+    return len(_path_in(tree, loc)) == len(loc)
+
+
+def _path_in(tree: Any, loc: Sequence[str | int]) -> tuple[str | int, ...]:
+    """The part of pydantic's location that is in the file: it also names branches of unions and models."""
+    node: Any = tree
+    path: list[str | int] = []
+    for key in loc:
+        if (isinstance(node, dict) and key in node) or (
+            isinstance(node, list) and isinstance(key, int) and key < len(node)
+        ):
+            node = node[key]
+            path.append(key)
+    return tuple(path)
+
+
+def _line(tree: Any, where: Sequence[str | int]) -> int:
+    node: Any = tree
+    line = 1
+    for key in where:
+        try:
+            line = (node.lc.key(key) if isinstance(node, dict) else node.lc.item(key))[0] + 1
+            node = node[key]
+        except (KeyError, AttributeError, IndexError, TypeError):
+            break
+    return int(line)
+
+
+def _explain(item: Mapping[str, Any], where: Sequence[str | int], model: type[Settings]) -> str:
+    kind = item["type"]
+    if kind == "extra_forbidden":
+        known = _known(model, where[:-1])
+        near = difflib.get_close_matches(str(where[-1]), known, n=1, cutoff=0.5)
+        hint = f"did you mean `{near[0]}`?" if near else f"known here: {', '.join(known)}"
+        return f"is not a setting; {hint}"
+    if kind == "missing":
+        return "is missing"
+    if kind == "value_error":
+        return str(item["ctx"]["error"])
+    if kind == "literal_error" and not isinstance(item["input"], str):
+        field = _field(model, where)
+        expected = " ".join((field.description or "").split()).rstrip(".") if field else item["ctx"]["expected"]
+        return f"is {_short(item['input'])}; expected {expected}"
+    if kind == "literal_error":
+        choices = item["ctx"]["expected"]
+        near = difflib.get_close_matches(
+            str(item["input"]), [c.strip("'") for c in choices.replace(" or ", ", ").split(", ")], n=1
+        )
+        return f"is {item['input']!r}; it can be {choices}" + (f"; did you mean {near[0]!r}?" if near else "")
+    message = item["msg"][0].lower() + item["msg"][1:]
+    return f"{message}, not {_short(item['input'])}"
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "…"
+
+
+def _model_at(model: type[BaseModel], where: Sequence[str | int]) -> type[BaseModel] | None:
+    """The model of the settings at a place of the tree."""
+    current: type[BaseModel] | None = model
+    for key in where:
+        if current is not None and not isinstance(key, int):
+            field = current.model_fields.get(key)
+            current = None if field is None else _inner_model(field.annotation)
+    return current
+
+
+def _known(model: type[BaseModel], where: Sequence[str | int]) -> list[str]:
+    inner = _model_at(model, where)
+    return [] if inner is None else list(inner.model_fields)
+
+
+def _field(model: type[BaseModel], where: Sequence[str | int]) -> FieldInfo | None:
+    inner = _model_at(model, where[:-1]) if where else None
+    return None if inner is None else inner.model_fields.get(str(where[-1]))
+
+
+def _inner_model(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((m for part in get_args(annotation) if (m := _inner_model(part)) is not None), None)
+
+
+def _resolve(path: Path, tree: Any, settings: Pipeline) -> Loaded:
+    folder = path.resolve().parent
+    mistakes: list[str] = []
+
+    def frames(patterns: Frames, where: tuple[str, ...]) -> tuple[Path, ...]:
+        found: dict[Path, None] = {}
+        for pattern in [patterns] if isinstance(patterns, str) else patterns:
+            matches = _matches(folder, pattern)
+            if not matches:
+                line = _line(tree, where)
+                mistakes.append(
+                    f"{path}:{line}: {'.'.join(where)}: no file matches {pattern!r} in {folder}. Correct the pattern; "
+                    f"it starts from the folder of the settings file."
+                )
+            found.update(dict.fromkeys(matches))
+        return tuple(found)
+
+    capture = settings.capture
+    reference = frames(capture.reference, ("capture", "reference"))
+    environments: dict[str, tuple[Path, ...]] = {}
+    if isinstance(capture.environment, dict):
+        for name, patterns in capture.environment.items():
+            if name == "reference" or not name.replace("_", "").replace("-", "").isalnum():
+                line = _line(tree, ("capture", "environment", name))
+                mistakes.append(
+                    f"{path}:{line}: capture.environment.{name}: a shot's name is made of letters, digits, - and _, and is not `reference`; it becomes a file's name."
+                )
+            environments[name] = frames(patterns, ("capture", "environment", name))
+    elif capture.environment is not None:
+        environments["environment"] = frames(capture.environment, ("capture", "environment"))
+    lights = []
+    for number, light in enumerate(settings.cluster.lights):
+        rooted = _rooted(light, folder)
+        if rooted.spd is not None and not rooted.spd.is_file():
+            line = _line(tree, ("cluster", "lights", number, "spd"))
+            mistakes.append(
+                f"{path}:{line}: cluster.lights.{number}.spd: there is no file {rooted.spd}. Correct the path."
+            )
+        lights.append(rooted)
+    if mistakes:
+        raise EnvcalError("\n".join(mistakes))
+    return Loaded(path, settings, folder / settings.output, reference, environments, tuple(lights))
+
+
+def _matches(folder: Path, pattern: str) -> list[Path]:
+    """Files that match a pattern, relative to `folder` or absolute, in the order of their names."""
+    whole = Path(pattern)
+    base = Path(whole.anchor) if whole.is_absolute() else folder
+    relative = str(whole.relative_to(whole.anchor)) if whole.is_absolute() else pattern
+    if not relative or relative == ".":
+        return []
+    try:
+        return sorted(p for p in base.glob(relative) if p.is_file())
+    except (ValueError, NotImplementedError, OSError):
+        return []
