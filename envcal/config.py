@@ -368,9 +368,7 @@ def _path_in(tree: Any, loc: Sequence[str | int]) -> tuple[str | int, ...]:
     node: Any = tree
     path: list[str | int] = []
     for key in loc:
-        if (isinstance(node, dict) and key in node) or (
-            isinstance(node, list) and isinstance(key, int) and key < len(node)
-        ):
+        if (isinstance(node, dict) and key in node) or (isinstance(node, list) and key in range(len(node))):
             node = node[key]
             path.append(key)
     return tuple(path)
@@ -381,7 +379,8 @@ def _line(tree: Any, where: Sequence[str | int]) -> int:
     line = 1
     for key in where:
         try:
-            line = (node.lc.key(key) if isinstance(node, dict) else node.lc.item(key))[0] + 1
+            position = node.lc
+            line = (position.key(key) if isinstance(node, dict) else position.item(key))[0] + 1
             node = node[key]
         except (KeyError, AttributeError, IndexError, TypeError):
             break
@@ -469,7 +468,8 @@ def _resolve(path: Path, tree: Any, settings: Pipeline) -> Loaded:
             if name == "reference" or not name.replace("_", "").replace("-", "").isalnum():
                 line = _line(tree, ("capture", "environment", name))
                 mistakes.append(
-                    f"{path}:{line}: capture.environment.{name}: a shot's name is made of letters, digits, - and _, and is not `reference`; it becomes a file's name."
+                    f"{path}:{line}: capture.environment.{name}: a shot's name is made of letters, "
+                    f"digits, - and _, and is not `reference`; it becomes a file's name."
                 )
             environments[name] = frames(patterns, ("capture", "environment", name))
     elif capture.environment is not None:

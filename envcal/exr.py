@@ -255,7 +255,6 @@ def _plain(name: str, value: Any) -> Any:
 
 def bands(path: Path, names: Sequence[str], *, rows: int) -> Iterator[tuple[int, dict[str, Plane]]]:
     """Yield (first row, name → [≤ rows, width] array) from the top; memory does not grow with the height."""
-    import Imath
     import OpenEXR
 
     about = header(path)
@@ -310,3 +309,9 @@ def read_rgb(path: Path) -> tuple[Header, npt.NDArray[np.float32]]:
 def rgb_planes(image: npt.NDArray[np.floating]) -> dict[str, npt.NDArray[np.float32]]:
     """The R, G, B planes of an image [height, width, 3] as float32, C-contiguous."""
     return {name: np.ascontiguousarray(image[..., k], dtype=np.float32) for k, name in enumerate("RGB")}
+
+
+def with_lost(image: npt.NDArray[np.float32]) -> dict[str, Plane]:
+    """R, G, B and `lost`, 1 where a channel is NaN, as the stages before the map's spectra hand them over."""
+    lost = np.isnan(image).any(axis=2).astype(np.uint32)
+    return {**rgb_planes(image), "lost": lost}

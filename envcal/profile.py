@@ -1,0 +1,174 @@
+"""The calibration profile: what was learned on the reference shot, to be applied to other shots of the same camera.
+
+One JSON file. `correct` finds the chart and starts it, `balance` finds the lamp and completes it. Applying it is one
+3×3 matrix: camera RGB → working RGB whose (1, 1, 1) is the D65 lamp.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from envcal import __version__, atomic
+from envcal.errors import EnvcalError
+
+Row = tuple[float, float, float]
+Matrix = tuple[Row, Row, Row]
+MOST_BYTES = 1 << 22
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
+
+
+class Camera(_Part):
+    """The camera of the reference shot; a profile fits no other one."""
+
+    model: str
+    lens: str
+    iso: float | None
+    f_number: float | None
+
+
+class Patch(_Part):
+    """One patch of the chart as the camera saw it."""
+
+    name: str
+    camera_rgb: Row
+    """Mean, camera RGB."""
+    noise: Row
+    """Standard error of the mean."""
+    pixels: int
+    target_rgb: Row
+    """Published colour under D65 in linear working RGB."""
+    fitted_rgb: Row
+    delta_e: float
+    """CIEDE2000 of the fit."""
+    delta_e_left_out: float
+    """CIEDE2000 when the fit has not seen this patch."""
+
+
+class Chart(_Part):
+    """Where the chart was and what was fitted to it."""
+
+    reference: str
+    found: Literal["auto", "settings"]
+    corners: list[tuple[float, float]]
+    """Pixels of the reference shot: top left (dark skin), top right, bottom right, bottom left."""
+    quads: list[list[tuple[float, float]]]
+    """The sampled part of each patch."""
+    cost: float | None
+    """Cost of the detector; None for corners from the settings."""
+    fit: str
+    patches: list[Patch]
+
+
+class Lamp(_Part):
+    """Where the lamp was and what it read."""
+
+    found: Literal["auto", "settings"]
+    polygon: list[tuple[float, float]]
+    pixels: int
+    clipped: int
+    rgb: Row
+    """Working RGB before the balance."""
+    noise: Row
+    transform: str
+    luminance: str
+    cone_gains: Row
+    """Gains along the axes of the cone space."""
+
+
+class Profile(_Part):
+    """Camera RGB → working RGB, and how it was found."""
+
+    envcal: str = __version__
+    working_space: str
+    camera: Camera
+    reference_shot: str
+    """File name of the merged reference."""
+    reference_digest: str
+    """SHA-256 of the merged reference."""
+    chart: Chart
+    matrix: Matrix
+    """Working RGB from camera RGB; 1 is a perfect white diffuser at the chart."""
+    lamp: Lamp | None = None
+    balance_matrix: Matrix | None = None
+    """Balanced working RGB from working RGB; (1, 1, 1) is the lamp."""
+    warnings: list[str] = Field(default_factory=list)
+
+    def delta_e(self) -> dict[str, float]:
+        """Mean and largest CIEDE2000 of the patches, fitted and left out."""
+        fitted = [patch.delta_e for patch in self.chart.patches]
+        left_out = [patch.delta_e_left_out for patch in self.chart.patches]
+        return {
+            "mean": round(float(np.mean(fitted)), 4),
+            "max": round(max(fitted), 4),
+            "left_out_mean": round(float(np.mean(left_out)), 4),
+            "left_out_max": round(max(left_out), 4),
+        }
+
+    def write(self, path: Path) -> None:
+        """Write the profile as JSON, whole or not at all."""
+        atomic.write_text(path, self.model_dump_json(indent=1) + "\n")
+
+
+def read(path: Path) -> Profile:
+    """Read a profile; an `EnvcalError` names what is wrong with it."""
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise EnvcalError(f"{path}: is larger than {MOST_BYTES >> 20} MiB; that is no profile.")
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise EnvcalError(
+            f"{path}: cannot be read ({error.strerror}). Give the profile.json of a calibration."
+        ) from error
+    except UnicodeDecodeError as error:
+        raise EnvcalError(f"{path}: is not a profile: not UTF-8 text. Make it again with `envcal correct`.") from error
+    return parse(text, place=str(path))
+
+
+def parse(text: str, *, place: str) -> Profile:
+    """Read a profile from JSON text; `place` names it in messages."""
+    try:
+        return Profile.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the file"
+        more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+        raise EnvcalError(
+            f"{place}: is not a profile: {where}: {first['msg']}{more}. Make it again with `envcal correct` and "
+            f"`envcal balance`."
+        ) from None
+
+
+def mismatches(profile: Profile, camera: Camera) -> list[str]:
+    """Return a warning for each way in which a shot's camera is not the profile's."""
+    effects = (
+        ("camera", profile.camera.model, camera.model, "its colours are wrong"),
+        ("lens", profile.camera.lens, camera.lens, "its colours may be off"),
+        ("ISO", profile.camera.iso, camera.iso, "its radiance is off by their ratio"),
+        ("f-number", profile.camera.f_number, camera.f_number, "its radiance is off by their ratio squared"),
+    )
+    return [
+        f"the profile was made with {word} {theirs or 'unknown'}, this shot with {ours or 'unknown'}: {effect}. "
+        f"Photograph a reference with the same {word}."
+        for word, theirs, ours, effect in effects
+        if theirs != ours
+    ]
+
+
+def matrix_rows(matrix: npt.NDArray[Any]) -> Matrix:
+    """A 3×3 array as nested tuples of floats."""
+    a, b, c = np.asarray(matrix)
+    return (row(a), row(b), row(c))
+
+
+def row(values: Any) -> Row:
+    """Three numbers as a tuple of floats."""
+    x, y, z = (float(v) for v in values)
+    return (x, y, z)

@@ -1,0 +1,116 @@
+"""Lamp of known spectrum → von Kries adaptation, or a profile applied."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from envcal import exr, provenance
+from envcal.config import BalanceSettings, LampOnChart, LampRectangle
+from envcal.errors import EnvcalError
+from envcal.profile import Camera, Lamp, Profile, matrix_rows, mismatches, parse, row
+from envcal.runner import Outcome
+
+
+def calibrate_on_lamp(corrected: Path, settings: BalanceSettings) -> Profile:
+    """Find the D65 lamp in a corrected reference shot and return its profile, completed."""
+    from calibrate.lamp import find_lamp, measure_lamp, rectangle_from_chart
+
+    from calibrate.adapt import cone_matrix, von_kries_matrix
+    from uplift.spectrum import illuminant, observer, rgb_space, xyz_of
+
+    header, image, profile = _read_corrected(corrected)
+    space = rgb_space(profile.working_space)
+    corners = np.asarray(profile.chart.corners, np.float64)
+    latlong = header.size[1] == 2 * header.size[0]
+    if settings.lamp == "auto":
+        lamp = find_lamp(image, chart_corners=corners, xyz_from_rgb=space.xyz_from_rgb, latlong=latlong)
+    elif isinstance(settings.lamp, LampRectangle):
+        lamp = measure_lamp(image, settings.lamp.rectangle, xyz_from_rgb=space.xyz_from_rgb, latlong=latlong)
+    else:
+        assert isinstance(settings.lamp, LampOnChart)
+        polygon = rectangle_from_chart(settings.lamp.chart_rectangle, corners)
+        lamp = measure_lamp(image, polygon, xyz_from_rgb=space.xyz_from_rgb, latlong=latlong)
+    seen = observer()
+    # (1, 1, 1) in a space whose white is D65.
+    destination = space.rgb_from_xyz @ xyz_of(illuminant("D65", seen), seen)
+    matrix = von_kries_matrix(
+        lamp.rgb,
+        destination,
+        xyz_from_rgb=space.xyz_from_rgb,
+        transform=settings.transform,
+        luminance=settings.luminance,
+    )
+    cones = cone_matrix(settings.transform, space.xyz_from_rgb)
+    gains = np.diag(cones @ matrix @ np.linalg.inv(cones))
+    return profile.model_copy(
+        update={
+            "lamp": Lamp(
+                found="auto" if settings.lamp == "auto" else "settings",
+                polygon=[(round(float(x), 3), round(float(y), 3)) for x, y in lamp.polygon],
+                pixels=int(lamp.pixels),
+                clipped=int(lamp.clipped),
+                rgb=row(lamp.rgb),
+                noise=row(lamp.noise),
+                transform=settings.transform,
+                luminance=settings.luminance,
+                cone_gains=row(gains),
+            ),
+            "balance_matrix": matrix_rows(matrix),
+            "warnings": [*profile.warnings, *lamp.warnings],
+        }
+    )
+
+
+def balance(corrected: Path, out: Path, settings: BalanceSettings, profile: Profile) -> Outcome:
+    """Write `corrected` balanced by the profile's lamp to `out`; the lamp reads (1, 1, 1)."""
+    from calibrate.correct import apply_matrix
+
+    if profile.lamp is None or profile.balance_matrix is None:
+        raise EnvcalError(
+            "the profile has no lamp balance yet. Run `envcal balance` on the reference shot without --profile: it "
+            "finds the lamp and writes the completed profile beside its output."
+        )
+    header, image, own = _read_corrected(corrected)
+    if own.matrix != profile.matrix:
+        raise EnvcalError(
+            f"{corrected}: was corrected with another chart matrix than the profile's. Correct it with the same "
+            f"profile first: `envcal correct MERGED -o {corrected.name} --profile PROFILE`."
+        )
+    balanced = apply_matrix(image, np.asarray(profile.balance_matrix))
+    camera = header.json("envcalCamera")
+    attributes = {
+        **provenance.attributes("balance", settings=settings.model_dump(mode="json"), inputs=[corrected]),
+        **provenance.colour_space(profile.working_space),
+        "envcalCamera": camera,
+        "envcalProfile": profile.model_dump(mode="json"),
+    }
+    exr.write(out, exr.with_lost(balanced), attributes=attributes)
+    lamp_now = np.asarray(profile.balance_matrix) @ np.asarray(profile.lamp.rgb)
+    figures = {
+        "shot": out.stem,
+        "lamp_rgb": list(profile.lamp.rgb),
+        "lamp_rgb_balanced": [float(v) for v in lamp_now],
+        "lamp_pixels": profile.lamp.pixels,
+        "cone_gains": list(profile.lamp.cone_gains),
+        "transform": profile.lamp.transform,
+    }
+    r, g, b = profile.lamp.rgb
+    summary = (
+        f"lamp of {profile.lamp.pixels} pixels at ({r:.3f}, {g:.3f}, {b:.3f}) → (1, 1, 1) in {profile.lamp.transform}"
+    )
+    if profile.lamp.luminance == "keep":
+        summary = summary.replace("→ (1, 1, 1)", "→ white, luminance kept,")
+    return Outcome(summary, figures, [f"{out.stem}: {t}" for t in mismatches(profile, Camera.model_validate(camera))])
+
+
+def _read_corrected(path: Path) -> tuple[exr.Header, npt.NDArray[np.float32], Profile]:
+    header, image = exr.read_rgb(path)
+    if header.attributes.get("envcalStage") != "correct":
+        stage = header.attributes.get("envcalStage", "unknown")
+        raise EnvcalError(
+            f"{path}: was not written by `envcal correct` (stage {stage}); the lamp is balanced after the chart. Run `envcal correct MERGED -o {path.name}` first."
+        )
+    return header, image, parse(str(header.attributes.get("envcalProfile", "")), place=f"{path}: its envcalProfile")

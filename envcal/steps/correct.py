@@ -1,0 +1,119 @@
+"""Chart → camera RGB to working RGB, or a profile applied."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from envcal import atomic, exr, provenance
+from envcal.config import CorrectSettings
+from envcal.errors import EnvcalError
+from envcal.profile import Camera, Chart, Patch, Profile, matrix_rows, mismatches, row
+from envcal.runner import Outcome
+
+
+def calibrate_on_chart(merged: Path, settings: CorrectSettings, working_space: str) -> Profile:
+    """Find the chart in a merged reference shot and return the profile it gives, without a lamp yet."""
+    from calibrate.chart import chart_from_corners, chart_reference, find_chart, measure_patches
+    from calibrate.correct import fit_matrix
+    from uplift.spectrum import rgb_space
+
+    header, image = _read_merged(merged)
+    lost = np.isnan(image).any(axis=2)
+    reference = chart_reference(settings.reference)
+    latlong = header.size[1] == 2 * header.size[0]
+    if settings.chart == "auto":
+        found = find_chart(image, reference, latlong=latlong)
+    else:
+        found = chart_from_corners(np.asarray(settings.chart, np.float64))
+    # Bayer: a quarter of the red and blue samples were measured, half of the green; the rest is interpolated.
+    patches = measure_patches(
+        image, found.quads, names=reference.names, lost=lost, latlong=latlong, independent=(0.25, 0.5, 0.25)
+    )
+    fit = fit_matrix(
+        patches.rgb,
+        reference,
+        rgb_from_xyz=rgb_space(working_space).rgb_from_xyz,
+        white_preserving=settings.fit == "white-preserving",
+    )
+    return Profile(
+        working_space=working_space,
+        camera=_camera(header),
+        reference_shot=merged.name,
+        reference_digest=atomic.digest(merged),
+        chart=Chart(
+            reference=reference.name,
+            found="auto" if settings.chart == "auto" else "settings",
+            corners=_points(found.corners),
+            quads=[_points(quad) for quad in found.quads],
+            cost=float(found.cost) if np.isfinite(found.cost) else None,
+            fit=settings.fit,
+            patches=[
+                Patch(
+                    name=name,
+                    camera_rgb=row(patches.rgb[k]),
+                    noise=row(patches.noise[k]),
+                    pixels=int(patches.pixels[k]),
+                    target_rgb=row(fit.target_rgb[k]),
+                    fitted_rgb=row(fit.fitted_rgb[k]),
+                    delta_e=float(fit.delta_e[k]),
+                    delta_e_left_out=float(fit.delta_e_loo[k]),
+                )
+                for k, name in enumerate(reference.names)
+            ],
+        ),
+        matrix=matrix_rows(fit.matrix),
+        warnings=[*found.warnings, *fit.warnings],
+    )
+
+
+def correct(merged: Path, out: Path, settings: CorrectSettings, profile: Profile) -> Outcome:
+    """Write `merged` in the profile's working RGB to `out`; 1 is a perfect white diffuser at the chart."""
+    from calibrate.correct import apply_matrix
+
+    header, image = _read_merged(merged)
+    corrected = apply_matrix(image, np.asarray(profile.matrix))
+    attributes = {
+        **provenance.attributes("correct", settings=settings.model_dump(mode="json"), inputs=[merged]),
+        **provenance.colour_space(profile.working_space),
+        "envcalCamera": header.json("envcalCamera"),
+        "envcalProfile": profile.model_dump(mode="json"),
+    }
+    exr.write(out, exr.with_lost(corrected), attributes=attributes)
+    delta_e = profile.delta_e()
+    negative = int((corrected < 0).any(axis=2).sum())
+    figures = {
+        "shot": out.stem,
+        "delta_e": delta_e,
+        "chart_cost": profile.chart.cost,
+        "chart_found": profile.chart.found,
+        "negative_pixels": negative,
+    }
+    summary = (
+        f"chart ΔE2000 mean {delta_e['mean']:.2f}, largest {delta_e['max']:.2f}; left out mean "
+        f"{delta_e['left_out_mean']:.2f}"
+    )
+    warnings = [f"{out.stem}: {text}" for text in mismatches(profile, _camera(header))]
+    return Outcome(summary, figures, warnings)
+
+
+def _read_merged(path: Path) -> tuple[exr.Header, npt.NDArray[np.float32]]:
+    header, image = exr.read_rgb(path)
+    if header.attributes.get("envcalSpace") != provenance.CAMERA_RGB:
+        space = header.attributes.get("envcalSpace") or "unknown"
+        raise EnvcalError(
+            f"{path}: its colours are {space}, not camera RGB; the chart correction starts from a merged RAW bracket. "
+            f"Make one with `envcal merge FRAME… -o merged.exr`."
+        )
+    return header, image
+
+
+def _camera(header: exr.Header) -> Camera:
+    return Camera.model_validate(header.json("envcalCamera"))
+
+
+def _points(points: npt.NDArray[Any]) -> list[tuple[float, float]]:
+    return [(round(float(x), 3), round(float(y), 3)) for x, y in points]
