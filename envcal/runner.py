@@ -217,6 +217,14 @@ def source_digest() -> str:
     return total.hexdigest()
 
 
+def read_records(output: Path) -> dict[str, Any]:
+    """The records of a finished run in `output`; an `EnvcalError` if there is none."""
+    records = _records(output / RECORD)
+    if not records:
+        raise EnvcalError(f"{output}: holds no finished run ({RECORD}). Give the output folder of `envcal run`.")
+    return records
+
+
 def _records(path: Path) -> dict[str, Any]:
     """The records of an earlier run; a missing or damaged file only means that every stage is done again."""
     try:

@@ -1,4 +1,4 @@
-"""The spectral EXR layout of A. Fichet, R. Pacanowski and A. Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 2021.
+"""The spectral EXR layout of Fichet, Pacanowski and Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 2021.
 
 Emissive, unpolarised images: one channel `S0.<wavelength>nm` a band, the decimal sign being a comma since a point
 separates layers; R, G and B stay for a preview.

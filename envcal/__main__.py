@@ -1,0 +1,5 @@
+"""`python -m envcal` is `envcal`."""
+
+from envcal.cli import main
+
+main()

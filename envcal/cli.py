@@ -1,0 +1,374 @@
+"""The command line: one command for the whole pipeline and one per stage.
+
+Everything heavy is imported inside the commands, so that `envcal --help` answers at once.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from envcal import __version__
+from envcal.errors import EnvcalError
+
+if TYPE_CHECKING:
+    from envcal.config import DeclaredLight
+    from envcal.runner import Outcome
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+STAGE_NAMES = ("merge", "correct", "balance", "panorama", "cluster", "uplift", "spectra", "report")
+SPACES = ("ITU-R BT.2020", "sRGB", "P3-D65", "ACEScg", "ACES2065-1", "Adobe Wide Gamut RGB")
+INDOOR = ("auto", "led", "fluorescent", "incandescent")
+FILE = click.Path(path_type=Path)
+
+
+class _Group(click.Group):
+    """Turns a mistake in the input or in the settings into one message and exit status 1."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except (EnvcalError, ValueError) as error:
+            if not _is_ours(error):
+                raise
+            click.echo(f"envcal: {error}" if "\n" not in str(error) else f"envcal: mistakes found:\n{error}", err=True)
+            ctx.exit(1)
+
+
+def _is_ours(error: Exception) -> bool:
+    """Whether an error is a message for people; a ValueError of anybody else is our own mistake."""
+    kinds = {EnvcalError.__name__, "CalibrateError", "UpliftError"}
+    return any(kind.__name__ in kinds for kind in type(error).__mro__)
+
+
+@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="envcal")
+def main() -> None:
+    """Bracketed RAW photographs in, a calibrated spectral environment map out.
+
+    `envcal run pipeline.yaml` does everything; each stage is also a command of its own.
+    """
+
+
+def _output(suffix: str) -> Callable[[Command], Command]:
+    return click.option("-o", "--output", "out", required=True, type=FILE, help=f"Where to write the {suffix}.")
+
+
+_json = click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON on stdout.")
+_profile = click.option("--profile", type=FILE, help="Apply this profile instead of calibrating on this shot.")
+_space = click.option(
+    "--space",
+    type=click.Choice(SPACES),
+    help="Linear RGB space of the map, where its header does not say (default: sRGB).",
+)
+_indoor = click.option("--indoor", type=click.Choice(INDOOR), default="auto", help="What undeclared indoor lights are.")
+_lights = click.option("--lights", "lights_path", type=FILE, help="lights.yaml: what is known of the lights.")
+
+
+def _finish(outcome: Outcome, *, as_json: bool, out: Path) -> None:
+    from envcal.reporter import Reporter
+
+    reporter = Reporter(quiet=as_json)
+    reporter.say(f"{outcome.summary} → {out}")
+    for text in outcome.warnings:
+        reporter.warn(text)
+    if as_json:
+        _print_json({"summary": outcome.summary, "figures": outcome.figures, "warnings": list(outcome.warnings)})
+
+
+def _print_json(value: Any) -> None:
+    click.echo(json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False))
+
+
+@main.command()
+@click.argument("pipeline", type=FILE)
+@click.option("--until", type=click.Choice(STAGE_NAMES), help="Stop after this stage.")
+@click.option("--from", "first", type=click.Choice(STAGE_NAMES), help="Do this stage and all later ones again.")
+@click.option("--force", is_flag=True, help="Do every stage again.")
+@click.option(
+    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a setting, such as uplift.method=scaled."
+)
+@_json
+def run(
+    pipeline: Path, until: str | None, first: str | None, force: bool, overrides: Sequence[str], as_json: bool
+) -> None:
+    """Run the pipeline; stages whose inputs and settings are unchanged are skipped."""
+    from envcal import config
+    from envcal.reporter import Reporter
+    from envcal.runner import changed_settings, run_pipeline
+    from envcal.stages import STAGES
+
+    loaded = config.load(pipeline, overrides=overrides)
+    reporter = Reporter(quiet=as_json)
+    for name, value in changed_settings(loaded).items():
+        reporter.say(f"{name}: {json.dumps(value, ensure_ascii=False)}")
+    record = run_pipeline(loaded, STAGES, reporter=reporter, until=until, first=first, force=force)
+    if as_json:
+        _print_json(record)
+    elif until is None:
+        reporter.say(f"report     {loaded.output / 'report.html'}")
+
+
+@main.command()
+@click.argument("pipeline", type=FILE)
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a setting.")
+def check(pipeline: Path, overrides: Sequence[str]) -> None:
+    """Check settings and frames; every mistake is listed, with its line, before anything runs."""
+    from envcal import config
+    from envcal.checks import check_frames
+
+    loaded = config.load(pipeline, overrides=overrides)
+    for text in check_frames(loaded):
+        click.echo(f"warning: {text}", err=True)
+    shots = ", ".join(f"{name} ({len(frames)} frames)" for name, frames in loaded.shots.items())
+    click.echo(f"{pipeline}: no mistakes; {shots}")
+
+
+@main.command()
+def schema() -> None:
+    """Print the JSON schema of pipeline.yaml, for editors."""
+    from envcal import config
+
+    click.echo(config.schema(), nl=False)
+
+
+@main.command()
+@click.argument("frames", nargs=-1, required=True, type=FILE)
+@_output("merged radiance (.exr)")
+@_json
+def merge(frames: Sequence[Path], out: Path, as_json: bool) -> None:
+    """Merge a bracket of RAW FRAMES to radiance in camera RGB."""
+    from envcal.config import MergeSettings
+    from envcal.reporter import Reporter
+    from envcal.steps.merge import merge as work
+
+    with Reporter().progress("merge") as progress:
+        outcome = work(frames, out, MergeSettings(), progress=progress)
+    _finish(outcome, as_json=as_json, out=out)
+
+
+@main.command()
+@click.argument("merged", type=FILE)
+@_output("corrected radiance (.exr)")
+@_profile
+@click.option(
+    "--chart",
+    metavar="X,Y,X,Y,X,Y,X,Y",
+    help="The chart's corners in pixels instead of a search: top left (dark skin), top right, bottom right, bottom left.",
+)
+@click.option("--space", type=click.Choice(SPACES), default=SPACES[0], show_default=True, help="Working RGB space.")
+@_json
+def correct(merged: Path, out: Path, profile: Path | None, chart: str | None, space: str, as_json: bool) -> None:
+    """Find the colour chart in MERGED and correct the colours by it, or apply a profile.
+
+    A profile found here is written beside the output, as OUT.profile.json.
+    """
+    from envcal import profile as profiles
+    from envcal.config import CorrectSettings
+    from envcal.steps.correct import calibrate_on_chart
+    from envcal.steps.correct import correct as work
+
+    settings = CorrectSettings() if chart is None else CorrectSettings(chart=_corners(chart))
+    if profile is None:
+        found = calibrate_on_chart(merged, settings, space)
+        found.write(out.with_suffix(".profile.json"))
+    else:
+        found = profiles.read(profile)
+    outcome = work(merged, out, settings, found)
+    _finish(_with_warnings(outcome, found.warnings if profile is None else []), as_json=as_json, out=out)
+
+
+def _corners(text: str) -> Any:
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != 8:
+        raise click.BadParameter(f"{text!r} is not eight numbers x,y,x,y,x,y,x,y", param_hint="--chart")
+    return tuple(zip(values[::2], values[1::2], strict=True))
+
+
+@main.command()
+@click.argument("corrected", type=FILE)
+@_output("balanced radiance (.exr)")
+@_profile
+@click.option("--lamp", metavar="X,Y,W,H", help="The lamp's rectangle in pixels instead of a search.")
+@_json
+def balance(corrected: Path, out: Path, profile: Path | None, lamp: str | None, as_json: bool) -> None:
+    """Find the D65 lamp in CORRECTED and balance the colours by it, or apply a profile.
+
+    The profile completed here is written beside the output, as OUT.profile.json.
+    """
+    from envcal import profile as profiles
+    from envcal.config import BalanceSettings, LampRectangle
+    from envcal.steps.balance import balance as work
+    from envcal.steps.balance import calibrate_on_lamp
+
+    settings = BalanceSettings() if lamp is None else BalanceSettings(lamp=LampRectangle(rectangle=_rectangle(lamp)))
+    if profile is None:
+        found = calibrate_on_lamp(corrected, settings)
+        found.write(out.with_suffix(".profile.json"))
+    else:
+        found = profiles.read(profile)
+    outcome = work(corrected, out, settings, found)
+    _finish(_with_warnings(outcome, found.warnings if profile is None else []), as_json=as_json, out=out)
+
+
+def _rectangle(text: str) -> tuple[float, float, float, float]:
+    try:
+        x, y, w, h = (float(part) for part in text.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is not four numbers x,y,w,h", param_hint="--lamp") from None
+    return x, y, w, h
+
+
+def _with_warnings(outcome: Outcome, more: Sequence[str]) -> Outcome:
+    from envcal.runner import Outcome
+
+    return Outcome(outcome.summary, outcome.figures, [*more, *outcome.warnings])
+
+
+@main.command()
+@click.argument("shots", nargs=-1, required=True, type=FILE)
+@_output("lat-long map (.exr)")
+@_json
+def panorama(shots: Sequence[Path], out: Path, as_json: bool) -> None:
+    """Turn SHOTS into one lat-long map; for the time being a lat-long shot passes through."""
+    from envcal.config import PanoramaSettings
+    from envcal.steps.panorama import panorama as work
+
+    _finish(work(shots, out, PanoramaSettings()), as_json=as_json, out=out)
+
+
+def _declared(path: Path | None) -> Sequence[DeclaredLight]:
+    from envcal.config import load_lights
+
+    return () if path is None else load_lights(path)
+
+
+def _find_lights(
+    source: Path, out: Path, lights_out: Path, *, indoor: str, lights_path: Path | None, space: str | None
+) -> Outcome:
+    from envcal.config import ClusterSettings, Pipeline
+    from envcal.maps import read_map
+    from envcal.steps.cluster import cluster as work
+
+    defaults = Pipeline.model_fields
+    return work(
+        read_map(source, space=space),
+        out,
+        lights_out,
+        ClusterSettings.model_validate({"indoor": indoor}),
+        declared=_declared(lights_path),
+        wavelengths=defaults["wavelengths"].default,
+        observer_name=defaults["observer"].default,
+    )
+
+
+@main.command()
+@click.argument("map_path", metavar="MAP", type=FILE)
+@_output("clusters (.exr)")
+@_indoor
+@_lights
+@_space
+@_json
+def cluster(map_path: Path, out: Path, indoor: str, lights_path: Path | None, space: str | None, as_json: bool) -> None:
+    """Find sky, lights and their colour temperatures in MAP (.exr or .hdr, lat-long).
+
+    The lights are also written beside the output, as OUT.lights.json.
+    """
+    lights_out = out.with_suffix(".lights.json")
+    outcome = _find_lights(map_path, out, lights_out, indoor=indoor, lights_path=lights_path, space=space)
+    _finish(outcome, as_json=as_json, out=out)
+
+
+@main.command()
+@click.argument("map_path", metavar="MAP", type=FILE)
+@_output("uplift file (.exr)")
+@click.option("--clusters", type=FILE, help="What `envcal cluster` found in this map; left out: it is done here.")
+@_indoor
+@_lights
+@click.option(
+    "--method",
+    type=click.Choice(["constrained", "scaled"]),
+    default="constrained",
+    show_default=True,
+    help="Under the light of each pixel, or the usual uplift under D65 for comparison.",
+)
+@_space
+@_json
+def uplift(
+    map_path: Path,
+    out: Path,
+    clusters: Path | None,
+    indoor: str,
+    lights_path: Path | None,
+    method: str,
+    space: str | None,
+    as_json: bool,
+) -> None:
+    """Give every pixel of MAP (.exr or .hdr, lat-long) a spectrum: three coefficients, a scale and its light."""
+    import tempfile
+
+    from envcal.config import UpliftSettings
+    from envcal.maps import read_map
+    from envcal.reporter import Reporter
+    from envcal.steps.uplift import uplift as work
+
+    if clusters is not None and (indoor != "auto" or lights_path is not None):
+        raise click.UsageError("--indoor and --lights belong to the search for lights; give them to `envcal cluster`.")
+    settings = UpliftSettings.model_validate({"method": method})
+    more: list[str] = []
+    with tempfile.TemporaryDirectory() as folder, Reporter().progress("uplift") as progress:
+        if clusters is None:
+            clusters = Path(folder) / "clusters.exr"
+            found = _find_lights(
+                map_path, clusters, Path(folder) / "lights.json", indoor=indoor, lights_path=lights_path, space=space
+            )
+            more = [*found.warnings]
+            if not as_json:
+                click.echo(found.summary)
+        outcome = work(read_map(map_path, space=space), clusters, out, settings, progress=progress)
+    _finish(_with_warnings(outcome, more), as_json=as_json, out=out)
+
+
+@main.command()
+@click.argument("uplift_path", metavar="UPLIFT", type=FILE)
+@_output("spectral image (.exr)")
+@click.option("--wavelengths", default="380:780:5", show_default=True, help="start:stop:step in nm.")
+@click.option("--half", is_flag=True, help="16-bit floats.")
+@_json
+def spectra(uplift_path: Path, out: Path, wavelengths: str, half: bool, as_json: bool) -> None:
+    """Write the spectral radiance of an UPLIFT file in the spectral EXR layout."""
+    from envcal.config import SpectraSettings, parse_wavelengths
+    from envcal.reporter import Reporter
+    from envcal.steps.spectra import spectra as work
+
+    try:
+        parse_wavelengths(wavelengths)
+    except ValueError as error:
+        raise click.BadParameter(str(error), param_hint="--wavelengths") from None
+    with Reporter().progress("spectra") as progress:
+        outcome = work(uplift_path, out, SpectraSettings(wavelengths=wavelengths, half=half), progress=progress)
+    _finish(outcome, as_json=as_json, out=out)
+
+
+@main.command()
+@click.argument("output", type=FILE)
+def report(output: Path) -> None:
+    """Write the page about a run, report.html, into its OUTPUT folder again."""
+    from envcal.report import write_report
+    from envcal.runner import read_records
+
+    outcome = write_report(output, read_records(output))
+    click.echo(f"{outcome.summary} → {output / 'report.html'}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
