@@ -27,9 +27,10 @@ LONGEST_SIDE = 65_536
 MOST_PIXELS = 1 << 29
 _PIXEL_TYPES = {"f4": "FLOAT", "f2": "HALF", "u4": "UINT"}
 _LATLONG = 0
-#: The legacy writer is the only one that streams rows, but it knows no envmap attribute and writes every
-#: chromaticity as 0. Both are put right in place afterwards, so no offset in the file moves: envmap goes in as a
-#: string of one byte (both type names have six letters), chromaticities as the zeros it makes of them.
+#: The legacy writer is the only one that streams rows, but it knows no envmap attribute and stores chromaticities
+#: as whatever its memory held (zeros, mostly). Both are put right in place afterwards, and no offset in the file moves:
+#: envmap goes in as a string of one byte (both type names have six letters), and the 32 bytes of the chromaticities
+#: are written over.
 _ENVMAP_WRITTEN = b"envmap\0string\0\x01\0\0\0L"
 _ENVMAP_MEANT = b"envmap\0envmap\0\x01\0\0\0" + bytes([_LATLONG])
 _CHROMATICITIES = b"chromaticities\0chromaticities\0\x20\0\0\0"
@@ -118,7 +119,7 @@ class Writer:
             changes.append((_ENVMAP_WRITTEN, _ENVMAP_MEANT))
         if "chromaticities" in self._attributes:
             values = np.asarray(self._attributes["chromaticities"], "<f4").tobytes()
-            changes.append((_CHROMATICITIES + bytes(32), _CHROMATICITIES + values))
+            changes.append((_CHROMATICITIES, _CHROMATICITIES + values))
         with self._part.open("rb+") as handle:
             start = handle.read(1 << 22)
             for written, meant in changes:

@@ -21,7 +21,8 @@ TILE_SAMPLES = 1 << 25
 
 def spectra(source: Path, out: Path, settings: SpectraSettings, *, progress: Progress = silent) -> Outcome:
     """Write the spectral radiance of an uplift file at `settings.wavelengths` to `out`, in bands of rows."""
-    from uplift.pixels import spectra_of
+    from uplift.radiance import spectra_of
+    from uplift.spectrum import observer
 
     header, about = read_about(source)
     grid = about.wavelengths_nm
@@ -42,7 +43,7 @@ def spectra(source: Path, out: Path, settings: SpectraSettings, *, progress: Pro
     height, width = header.size
     rows = max(1, TILE_SAMPLES // (width * len(wavelengths)))
     emissions = about.emissions()
-    known = np.asarray(grid, np.float64)
+    seen = observer(grid[0], grid[-1], (grid[-1] - grid[0]) / (len(grid) - 1), about.observer)
     brightest = 0.0
     with exr.Writer(out, header.size, channels=kinds, attributes=attributes) as writer:
         for top, planes in exr.bands(source, ["c0", "c1", "c2", "scale", "cluster", "R", "G", "B"], rows=rows):
@@ -54,7 +55,8 @@ def spectra(source: Path, out: Path, settings: SpectraSettings, *, progress: Pro
                 planes["cluster"],
                 emissions,
                 wavelengths,
-                grid_nm=known,
+                observer=seen,
+                dtype=np.float32,
             )
             brightest = max(brightest, float(radiance.max()))
             band: dict[str, Any] = {channel(float(w)): radiance[..., k] for k, w in enumerate(wavelengths)}

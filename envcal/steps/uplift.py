@@ -154,7 +154,8 @@ class Tally:
     def add(self, rgb: Image, solved: Uplifted) -> None:
         """Take a tile into account."""
         from uplift.difference import delta_e_2000
-        from uplift.pixels import Status, rgb_of
+        from uplift.pixels import Status
+        from uplift.radiance import rgb_of
 
         for status, count in solved.counts.items():
             self._counts[status] += count
