@@ -126,12 +126,8 @@ def cct_duv(xy: npt.ArrayLike) -> tuple[Floats, Floats]:
 def _ohno(uv: Floats) -> tuple[Floats, Floats]:
     temperatures, locus = _locus()
     coarse = locus[::COARSE_STRIDE]
-    nearest = COARSE_STRIDE * np.argmin(
-        (uv[:, :1] - coarse[:, 0]) ** 2 + (uv[:, 1:] - coarse[:, 1]) ** 2, axis=1
-    )
-    window = np.clip(
-        nearest[:, np.newaxis] + np.arange(-COARSE_STRIDE - 1, COARSE_STRIDE + 2), 0, len(locus) - 1
-    )
+    nearest = COARSE_STRIDE * np.argmin((uv[:, :1] - coarse[:, 0]) ** 2 + (uv[:, 1:] - coarse[:, 1]) ** 2, axis=1)
+    window = np.clip(nearest[:, np.newaxis] + np.arange(-COARSE_STRIDE - 1, COARSE_STRIDE + 2), 0, len(locus) - 1)
     distance2 = np.sum((uv[:, np.newaxis] - locus[window]) ** 2, axis=-1)
     m = np.take_along_axis(window, np.argmin(distance2, axis=1)[:, np.newaxis], axis=1)[:, 0]
     inside = (m > 0) & (m < len(locus) - 1)
@@ -145,14 +141,14 @@ def _ohno(uv: Floats) -> tuple[Floats, Floats]:
     cct = temperatures[m] * LOCUS_STEP**step
 
     foot = (  # on the parabola through the three entries of the locus
-
         locus[m]
         + (locus[m + 1] - locus[m - 1]) * (step / 2)[:, np.newaxis]
         + (locus[m + 1] - 2 * locus[m] + locus[m - 1]) * (step**2 / 2)[:, np.newaxis]
     )
     distance = np.hypot(*(uv - foot).T)
     duv = np.where(uv[:, 1] >= foot[:, 1], distance, -distance)
-    inside &= (cct >= MIN_CCT) & (cct <= MAX_CCT) & (np.abs(duv) <= MAX_DUV)
+    # a black body at either end must not drop out by rounding, so the ends reach 0.1 % farther
+    inside &= (cct >= MIN_CCT / LOCUS_STEP) & (cct <= MAX_CCT * LOCUS_STEP) & (np.abs(duv) <= MAX_DUV)
     return np.where(inside, cct, np.nan), np.where(inside, duv, np.nan)
 
 
@@ -174,3 +170,22 @@ def mired(cct: npt.ArrayLike) -> Floats:
     with np.errstate(divide="ignore"):
         result: Floats = 1e6 / np.asarray(cct, np.float64)
     return result
+
+
+def nearest_cct(xy: npt.ArrayLike) -> tuple[float, float]:
+    """Return the temperature (K) and signed distance of the nearest point of the locus to one chromaticity [2].
+
+    Unlike `cct_duv` this always answers, for colours far from the locus and beyond its ends too (NaN only for NaN); there
+    the temperature is a name for the colour and no more.
+    """
+    cct, duv = cct_duv(xy)
+    if np.isfinite(cct):
+        return float(cct), float(duv)
+    uv = uv_of_xy(xy)
+    if not np.isfinite(uv).all():
+        return float("nan"), float("nan")
+    temperatures, locus = _locus()
+    nearest = int(np.argmin(((locus - uv) ** 2).sum(axis=1)))
+    distance = float(np.hypot(*(uv - locus[nearest])))
+    sign = 1.0 if uv[1] >= locus[nearest, 1] else -1.0
+    return float(np.clip(temperatures[nearest], MIN_CCT, MAX_CCT)), sign * distance
