@@ -6,7 +6,7 @@ else
 BIN := .venv/bin
 endif
 
-.PHONY: run test slow check bench samples clean
+.PHONY: run test slow lint check bench samples clean
 
 run: .venv/ready
 	$(BIN)/envcal run pipeline.yaml
@@ -18,12 +18,13 @@ test: .venv/ready-dev
 slow: .venv/ready-dev
 	$(BIN)/python -m pytest -m slow
 
-check: .venv/ready-dev
+lint: .venv/ready-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest
+
+check: lint test
 
 bench: .venv/ready-dev
 	$(BIN)/python -m benchmarks

@@ -82,7 +82,7 @@ def test_a_damaged_or_strange_hdr_is_refused(tmp_path, image, change, message):
 
 def test_a_map_of_another_kind_or_none_is_refused(tmp_path):
     for name in ("a.png", "none.hdr", "none.exr"):
-        with pytest.raises(EnvcalError, match="neither|no such file"):
+        with pytest.raises(EnvcalError, match=r"neither|no such file"):
             read_map(tmp_path / name)
 
 

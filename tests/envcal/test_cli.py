@@ -1,0 +1,104 @@
+"""The doors: commands, exit statuses and messages that scripts and people rely on."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from envcal import exr, provenance
+from envcal.cli import SPACES, STAGE_NAMES, main
+from envcal.config import WorkingSpace
+from envcal.stages import STAGES
+
+
+def envcal(*arguments):
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+def test_the_doors_are_there():
+    commands = {"run", "check", "merge", "correct", "balance", "panorama", "cluster", "uplift", "spectra", "report"}
+    assert commands <= set(main.commands)
+    # The name is kept free for the comparison of an estimate with the truth.
+    assert "evaluate" not in main.commands
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys\nfrom envcal.cli import main\n"
+        "try: main(['--help'])\nexcept SystemExit: pass\n"
+        "heavy = {'numpy', 'cv2', 'colour', 'numba', 'pydantic', 'scipy', 'matplotlib', 'rich', 'OpenEXR', 'rawpy'}\n"
+        "found = heavy & set(sys.modules)\n"
+        "sys.exit(f'imported: {found}' if found else 0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "Commands:" in done.stdout
+
+
+def test_the_command_line_names_the_stages_and_spaces_of_the_code():
+    from typing import get_args
+
+    from uplift.spectrum import RGB_SPACES
+
+    assert tuple(stage.name for stage in STAGES) == STAGE_NAMES
+    assert set(SPACES) == set(RGB_SPACES) == set(get_args(WorkingSpace))
+
+
+def test_every_stage_takes_only_what_an_earlier_one_leaves():
+    left = {"{frames}", "{spectra}"}
+    for stage in STAGES:
+        assert {name.replace("{map}", "{shot}") for name in stage.inputs} <= left, stage.name
+        left |= set(stage.outputs)
+
+
+def test_a_mistake_in_the_input_is_one_message_and_status_1(tmp_path):
+    done = envcal("run", tmp_path / "none.yaml")
+    assert done.exit_code == 1
+    assert done.stderr.startswith("envcal: ")
+    assert "Traceback" not in done.stderr
+
+
+def test_wrong_usage_is_status_2():
+    assert envcal("run").exit_code == 2
+    assert envcal("nonsense").exit_code == 2
+    assert envcal("uplift", "a.exr", "-o", "b.exr", "--method", "magic").exit_code == 2
+    assert envcal("uplift", "a.exr", "-o", "b.exr", "--clusters", "c.exr", "--indoor", "led").exit_code == 2
+    assert envcal("spectra", "a.exr", "-o", "b.exr", "--wavelengths", "400").exit_code == 2
+    assert envcal("correct", "a.exr", "-o", "b.exr", "--chart", "1,2,3").exit_code == 2
+    assert envcal("balance", "a.exr", "-o", "b.exr", "--lamp", "1,2,3").exit_code == 2
+
+
+@pytest.mark.parametrize("command", ["merge", "correct", "balance", "panorama", "cluster", "uplift", "spectra"])
+def test_a_missing_file_is_named(tmp_path, command):
+    done = envcal(command, tmp_path / "none.exr", "-o", tmp_path / "out.exr")
+    assert done.exit_code == 1
+    assert "none.exr" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("command", "attributes", "remedy"),
+    [
+        ("correct", {}, "envcal merge"),
+        ("correct", {"envcalSpace": "sRGB"}, "envcal merge"),
+        ("balance", {}, "envcal correct"),
+        ("panorama", {}, "envcal correct"),
+        ("panorama", provenance.colour_space(provenance.CAMERA_RGB), "envcal correct"),
+        ("spectra", {}, "envcal uplift"),
+    ],
+)
+def test_a_file_of_the_wrong_stage_is_refused_with_the_command_to_run(tmp_path, command, attributes, remedy):
+    source = tmp_path / "in.exr"
+    exr.write(source, exr.rgb_planes(np.ones((8, 16, 3), np.float32)), attributes=attributes)
+    done = envcal(command, source, "-o", tmp_path / "out.exr")
+    assert done.exit_code == 1
+    assert remedy in done.stderr
+    assert not (tmp_path / "out.exr").exists()
+
+
+def test_a_report_without_a_run_is_refused(tmp_path):
+    done = envcal("report", tmp_path)
+    assert done.exit_code == 1
+    assert "no finished run" in done.stderr
