@@ -1,0 +1,37 @@
+"""A small spectral forward model of a capture, and the capture that it made.
+
+Not installed with the package: tests and benchmarks import it from the checkout. `python -m samples` makes the
+files of `samples/capture` again, bit for bit.
+"""
+
+from samples.capture import (
+    Capture,
+    CaptureSettings,
+    Frame,
+    bracket,
+    encode_frame,
+    make_capture,
+    write_capture,
+)
+from samples.chart_view import ChartView, chart_view
+from samples.scene import (
+    THREE_LAMPS,
+    TWO_LAMPS,
+    Chart,
+    Furnace,
+    Lamp,
+    LatLong,
+    Module,
+    Pinhole,
+    Room,
+    View,
+    look,
+)
+from samples.sensor import Camera, expose
+from samples.truth import Truth, truth_of, write_truth
+
+__all__ = [
+    "THREE_LAMPS", "TWO_LAMPS", "Camera", "Capture", "CaptureSettings", "Chart", "ChartView", "Frame",
+    "Furnace", "Lamp", "LatLong", "Module", "Pinhole", "Room", "Truth", "View", "bracket", "chart_view",
+    "encode_frame", "expose", "look", "make_capture", "truth_of", "write_capture", "write_truth",
+]  # fmt: skip
