@@ -84,7 +84,7 @@ def lost_pixels(image: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
     return missing[..., 0] | missing[..., 1] | missing[..., 2]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _held(mean: float, correction: float, smallest: float, largest: float) -> float:  # pragma: no cover - compiled
     if not np.isfinite(mean):
         return np.nan
@@ -93,7 +93,7 @@ def _held(mean: float, correction: float, smallest: float, largest: float) -> fl
     return min(max(mean + correction, smallest), largest)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _interpolate(
     m: npt.NDArray[np.float32], red_row: int, red_column: int, image: npt.NDArray[np.float32]
 ) -> None:  # pragma: no cover - compiled

@@ -365,7 +365,7 @@ def _warnings(uses: Sequence[FrameUse], lost: int, defects: int, pixels: int) ->
     return out
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _gather(  # noqa: PLR0917 - numba takes no keywords
     raw: npt.NDArray[np.uint16],
     black: npt.NDArray[np.float64],
@@ -388,7 +388,7 @@ def _gather(  # noqa: PLR0917 - numba takes no keywords
                 squares[y, x] += light * light
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _weigh(  # noqa: PLR0917 - numba takes no keywords
     raw: npt.NDArray[np.uint16],
     black: npt.NDArray[np.float64],
@@ -430,13 +430,13 @@ def _weigh(  # noqa: PLR0917 - numba takes no keywords
             used[y] += 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _level(mosaic: Plane, y: int, x: int, ceiling: float) -> float:  # pragma: no cover - compiled
     value = np.float64(mosaic[y, x])
     return ceiling if np.isnan(value) else value
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _stands_alone(  # noqa: PLR0917 - numba takes no keywords
     mosaic: Plane,
     weights: Plane,
@@ -474,7 +474,7 @@ def _stands_alone(  # noqa: PLR0917 - numba takes no keywords
     return True
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _mark_defects(  # noqa: PLR0917 - numba takes no keywords
     mosaic: Plane,
     weights: Plane,
@@ -502,12 +502,12 @@ def _mark_defects(  # noqa: PLR0917 - numba takes no keywords
             if value > largest:
                 excess = value - largest
                 far = value > 1.5 * largest
-                rise = min(0.05 * (value / largest - 1.0), 0.5) if largest > 0 else 0.5
+                rise = min(0.02 * (value / largest - 1.0), 0.2) if largest > 0 else 0.2
                 sign = 1.0
             elif value < smallest:
                 excess = smallest - value
                 far = 1.5 * value < smallest
-                rise = min(0.05 * (1.0 - value / smallest), 0.5) if smallest > 0 else 0.0
+                rise = min(0.02 * (1.0 - value / smallest), 0.2) if smallest > 0 else 0.0
                 sign = -1.0
             else:
                 continue

@@ -1,0 +1,283 @@
+"""RAW files → what a frame says about itself, and its mosaic. The only module that imports rawpy.
+
+LibRaw opens more than it can give: a float DNG arrives as rounded integers, a damaged one as zeros or as whatever the
+memory held, X-Trans and three-colour files without a word. Whatever is not a Bayer mosaic of integers with something
+recorded in it is refused here, by name and with a remedy. Orientation is left alone: mosaics are never rotated.
+"""
+
+import logging
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from calibrate.exposure import BAYER_PATTERNS, FrameInfo
+from envcal.errors import EnvcalError
+
+Counts = npt.NDArray[np.uint16]
+
+_LARGEST_SIDE = 65_535
+_JPEG_XL = 52_546  # TIFF Compression, DNG 1.7
+_FLOAT = 3  # TIFF SampleFormat
+_RAW_PHOTOMETRIC = (32_803, 34_892)  # DNG: colour filter array, linear RAW
+
+# Above the range of the bits only stray values are credible (a defect map, a marked row); more is another memory's.
+_STRAY_SHARE = 0.01
+
+# Finer than any shutter scale: turns LibRaw's float32 back into the fraction it was (0.0333333351 → 1/30).
+_SHUTTER_DENOMINATOR = 20_000
+
+_CONVERT = "Convert it to DNG (uncompressed or lossless) with a RAW converter, or take the file out of the bracket"
+
+
+def rawpy_version() -> str:
+    """Return the versions of rawpy and LibRaw, for the provenance of what was read."""
+    import rawpy
+
+    return f"rawpy {rawpy.__version__}, LibRaw {'.'.join(map(str, rawpy.libraw_version))}"
+
+
+def read_info(path: Path | str) -> FrameInfo:
+    """Return what a RAW frame says about itself; the file is decoded once to see that it can be.
+
+    Exposure time and aperture are EXIF's exact rationals where ExifRead understands the file, else LibRaw's; zero
+    counts as missing. Levels are in the order of the positions of the visible area's top-left 2×2.
+
+    Raises
+    ------
+    EnvcalError
+        The file is missing, unreadable, damaged, empty, or no Bayer mosaic of integers.
+    """
+    path = Path(path)
+    exif = _exif(path)
+    with _opened(path, exif) as raw:
+        info = _described(path, raw, exif)
+        _refuse_empty(raw.raw_image_visible, info)
+        return info
+
+
+def read_mosaic(path: Path | str) -> Counts:
+    """Return the raw counts of the visible area: shape (height, width), uint16, black not subtracted.
+
+    Raises
+    ------
+    EnvcalError
+        As `read_info`.
+    """
+    path = Path(path)
+    exif = _exif(path)
+    with _opened(path, exif) as raw:
+        mosaic: Counts = raw.raw_image_visible.copy()
+        _refuse_empty(mosaic, _described(path, raw, exif))
+    return mosaic
+
+
+class RawFrame:
+    """A RAW file as a frame of a bracket: `info` is read once, `mosaic()` decodes anew each time and keeps nothing."""
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+
+    def __repr__(self) -> str:
+        return f"RawFrame({str(self.path)!r})"
+
+    @cached_property
+    def info(self) -> FrameInfo:
+        """What the file says about itself (see `read_info`)."""
+        return read_info(self.path)
+
+    def mosaic(self) -> Counts:
+        """Decode the file (see `read_mosaic`)."""
+        return read_mosaic(self.path)
+
+
+@contextmanager
+def _opened(path: Path, exif: Mapping[str, Any]) -> Iterator[Any]:
+    """Open and unpack with LibRaw; every way in which that fails becomes one message."""
+    import rawpy
+
+    _refuse_unsuited(path, exif)
+    try:
+        with rawpy.imread(str(path)) as raw:
+            raw.unpack()
+            yield raw
+    except rawpy.LibRawFileUnsupportedError as error:
+        raise EnvcalError(
+            f"{path}: not a RAW file that {rawpy_version()} knows; a Bayer RAW file is expected. {_CONVERT}."
+        ) from error
+    except (rawpy.LibRawError, rawpy.NotSupportedError) as error:
+        said = error.args[0] if error.args else error
+        said = said.decode(errors="replace") if isinstance(said, bytes) else said
+        raise EnvcalError(
+            f"{path}: cannot be decoded ({said}); a complete RAW file is expected. Copy it from the card again; if that "
+            "does not help, take it out of the bracket."
+        ) from error
+
+
+def _refuse_unsuited(path: Path, exif: Mapping[str, Any]) -> None:
+    """Refuse what LibRaw would fail on in unclear words, or decode wrongly without any."""
+    if not path.is_file():
+        raise EnvcalError(f"{path}: no such file; a RAW file is expected. Check the path or pattern.")
+    if path.stat().st_size == 0:
+        raise EnvcalError(f"{path}: 0 bytes; a RAW file is expected. Copy it from the card again.")
+    if _FLOAT in _of_mosaic(exif, "SampleFormat"):
+        raise EnvcalError(
+            f"{path}: floating-point samples; integers are expected (this is a merged or processed file, not a frame). "
+            "Give the frames it was made from."
+        )
+    if _JPEG_XL in _of_mosaic(exif, "Compression"):
+        raise EnvcalError(f"{path}: compressed as JPEG XL, which {rawpy_version()} does not decode. {_CONVERT}.")
+
+
+def _exif(path: Path) -> dict[str, Any]:
+    """Return EXIF tags by the name after their directory's; empty where ExifRead does not know the format."""
+    import exifread
+
+    # It reports every odd tag of a maker's private directory.
+    logging.getLogger("exifread").setLevel(logging.CRITICAL + 1)
+    if not path.is_file():
+        return {}
+    try:
+        with path.open("rb") as file:
+            tags = exifread.process_file(file, details=False)
+    except Exception as error:
+        # Whatever it stumbles over in a damaged file, LibRaw has the last word on whether the file is readable.
+        logging.getLogger(__name__).debug("%s: ExifRead: %s", path, error)
+        return {}
+    return {name: tag for name, tag in tags.items() if hasattr(tag, "values")}
+
+
+def _numbers(exif: Mapping[str, Any], tag: str) -> list[Fraction]:
+    """Return the values of a tag in all directories of the file, as far as they are numbers."""
+    out = []
+    for name, entry in exif.items():
+        if name.split()[-1] != tag or not isinstance(entry.values, list):
+            continue
+        for value in entry.values:
+            try:
+                out.append(Fraction(value))
+            except (TypeError, ValueError, ZeroDivisionError):
+                continue
+    return out
+
+
+def _of_mosaic(exif: Mapping[str, Any], tag: str) -> list[Fraction]:
+    """Return the numbers of a tag in the TIFF directory of the RAW data; previews and masks have directories too."""
+    for name, entry in exif.items():
+        directory, _, last = name.rpartition(" ")
+        if last == "PhotometricInterpretation" and entry.values and entry.values[0] in _RAW_PHOTOMETRIC:
+            return _numbers({n: e for n, e in exif.items() if n.rpartition(" ")[0] == directory}, tag)
+    return []
+
+
+def _text(exif: Mapping[str, Any], *names: str) -> str:
+    return next((str(exif[n]).strip() for n in names if n in exif and str(exif[n]).strip()), "")
+
+
+def _positive(values: list[Fraction]) -> Fraction | None:
+    return next((v for v in values if v > 0), None)
+
+
+def _described(path: Path, raw: Any, exif: Mapping[str, Any]) -> FrameInfo:
+    colours = _bayer_colours(path, raw)
+    other = raw.other
+    exposure = _positive(_numbers(exif, "ExposureTime"))
+    if exposure is None and other.shutter_speed > 0:
+        exposure = Fraction(float(other.shutter_speed)).limit_denominator(_SHUTTER_DENOMINATOR)
+    iso = float(other.iso_speed) or float(_positive(_numbers(exif, "ISOSpeedRatings")) or 0)
+    f_number = float(_positive(_numbers(exif, "FNumber")) or 0) or float(other.aperture)
+    make, model = _text(exif, "Image Make"), _text(exif, "Image Model")
+    height, width = raw.raw_image_visible.shape
+    if max(height, width) > _LARGEST_SIDE:
+        raise EnvcalError(
+            f"{path}: {width}×{height} photosites; at most {_LARGEST_SIDE} a side are expected. The file may be damaged: "
+            "copy it from the card again."
+        )
+    white = _white(raw)
+    blacks = _blacks(raw, colours, exif)
+    return FrameInfo(
+        name=str(path),
+        exposure_s=exposure if exposure else None,
+        iso=iso or None,
+        f_number=f_number or None,
+        camera=model if model.lower().startswith(make.lower()) else f"{make} {model}".strip(),
+        lens=_text(exif, "EXIF LensModel") or str(raw.lens.model).strip(),
+        width=width,
+        height=height,
+        cfa="".join("RGBG"[c] for c in colours),
+        black_dn=blacks,
+        white_dn=(white[colours[0]], white[colours[1]], white[colours[2]], white[colours[3]]),
+        bits=math.ceil(math.log2(raw.white_level + 1)) if raw.white_level > 0 else None,
+    )
+
+
+def _bayer_colours(path: Path, raw: Any) -> tuple[int, int, int, int]:
+    """Return LibRaw's colour indices (second green: 3) of the visible area's top-left 2×2; refuse what is no Bayer."""
+    import rawpy
+
+    what = ""
+    if raw.raw_type != rawpy.RawType.Flat:
+        what = "three colours at every photosite (a linear, Foveon or reduced-size RAW)"
+    elif raw.num_colors == 1:
+        what = "a monochrome sensor"
+    elif raw.raw_pattern is None or raw.raw_pattern.shape != (2, 2):
+        what = "a colour pattern larger than 2×2 (X-Trans)"
+    else:
+        colours = raw.raw_colors_visible
+        corner = colours[:2, :2]
+        repeats = all(np.all(colours[r::2, c::2] == corner[r, c]) for r in (0, 1) for c in (0, 1))
+        letters = "".join("RGBG"[c] if c < 4 else "?" for c in corner.ravel())
+        if letters in BAYER_PATTERNS and repeats:
+            return int(corner[0, 0]), int(corner[0, 1]), int(corner[1, 0]), int(corner[1, 1])
+        what = f"the colour pattern {letters}{'' if repeats else ', which does not repeat'}"
+    raise EnvcalError(
+        f"{path}: {what}; a Bayer mosaic ({', '.join(BAYER_PATTERNS)}) is expected. "
+        "Photograph with a camera that has a Bayer sensor, at the full size of its RAW format."
+    )
+
+
+def _white(raw: Any) -> list[float]:
+    """Return the saturation level a colour: the camera's own where it tells one, never above the format's."""
+    own = raw.camera_white_level_per_channel or [0, 0, 0, 0]
+    return [float(min(w, raw.white_level) if w > 0 else raw.white_level) for w in own]
+
+
+def _blacks(raw: Any, colours: tuple[int, ...], exif: Mapping[str, Any]) -> tuple[float, float, float, float]:
+    """Return black by position. LibRaw gives it by colour and cuts fractions off; a DNG's own tag has them."""
+    by_colour = raw.black_level_per_channel
+    black = [float(by_colour[c]) for c in colours]
+    tag = [float(v) for v in _of_mosaic(exif, "BlackLevel")]
+    exact = tag * 4 if len(tag) == 1 else tag
+    if len(exact) == 4 and [math.floor(v) for v in exact] == black:
+        black = exact
+    return black[0], black[1], black[2], black[3]
+
+
+def _refuse_empty(mosaic: Counts, info: FrameInfo) -> None:
+    """Refuse a frame in which nothing was recorded, or something that cannot have been."""
+    places = [mosaic[r::2, c::2] for r in (0, 1) for c in (0, 1)]
+    if all(p.max() <= black for p, black in zip(places, info.black_dn, strict=True)):
+        raise EnvcalError(
+            f"{info.name}: no sample above the black level {max(info.black_dn):g}; an exposed frame is expected. The "
+            "file is damaged, or the lens was covered: copy it from the card again, or take it out of the bracket."
+        )
+    if mosaic.min() == mosaic.max() < min(info.white_dn):
+        raise EnvcalError(
+            f"{info.name}: every sample is {int(mosaic.max())}; a photograph has noise. The file is damaged: copy it from "
+            "the card again, or take it out of the bracket."
+        )
+    if info.bits is not None:
+        largest = 2**info.bits - 1
+        stray = float(np.mean(mosaic > largest)) if mosaic.max() > largest else 0.0
+        if stray > _STRAY_SHARE:
+            raise EnvcalError(
+                f"{info.name}: {stray:.0%} of the samples are above {largest}, the largest that its white level "
+                f"{max(info.white_dn):g} allows. The file is damaged or its WhiteLevel wrong: copy it from the card "
+                "again, or correct the tag."
+            )
