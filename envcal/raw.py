@@ -249,13 +249,21 @@ def _white(raw: Any) -> list[float]:
 
 
 def _blacks(raw: Any, colours: tuple[int, ...], exif: Mapping[str, Any]) -> tuple[float, float, float, float]:
-    """Return black by position. LibRaw gives it by colour and cuts fractions off; a DNG's own tag has them."""
+    """Return black by position.
+
+    LibRaw gives it by colour and cuts fractions off, and where a DNG's active area starts at an odd row or column (which
+    LibRaw rounds up) it gives the levels of the wrong neighbours. The DNG's own tag, whose pattern starts at the corner
+    of the active area (DNG specification 1.6, BlackLevelRepeatDim), is therefore preferred if it tells the same levels.
+    """
     by_colour = raw.black_level_per_channel
     black = [float(by_colour[c]) for c in colours]
     tag = [float(v) for v in _of_mosaic(exif, "BlackLevel")]
-    exact = tag * 4 if len(tag) == 1 else tag
-    if len(exact) == 4 and [math.floor(v) for v in exact] == black:
-        black = exact
+    told = tag * 4 if len(tag) == 1 else tag
+    if len(told) == 4 and sorted(math.floor(v) for v in told) == sorted(black):
+        # Tag 0xC68D is ActiveArea, which ExifRead does not name.
+        area = _of_mosaic(exif, "0xC68D") or _of_mosaic(exif, "ActiveArea") or [0, 0]
+        down, across = raw.sizes.top_margin - int(area[0]), raw.sizes.left_margin - int(area[1])
+        black = [told[2 * ((r + down) % 2) + (c + across) % 2] for r in (0, 1) for c in (0, 1)]
     return black[0], black[1], black[2], black[3]
 
 
