@@ -172,7 +172,7 @@ def _of_mosaic(exif: Mapping[str, Any], tag: str) -> list[Fraction]:
     for name, entry in exif.items():
         directory, _, last = name.rpartition(" ")
         if last == "PhotometricInterpretation" and entry.values and entry.values[0] in _RAW_PHOTOMETRIC:
-            return _numbers({n: e for n, e in exif.items() if n.rpartition(" ")[0] == directory}, tag)
+            return _numbers({n: e for n, e in exif.items() if n.startswith(f"{directory} ")}, tag)
     return []
 
 
@@ -261,7 +261,7 @@ def _blacks(raw: Any, colours: tuple[int, ...], exif: Mapping[str, Any]) -> tupl
     told = tag * 4 if len(tag) == 1 else tag
     if len(told) == 4 and sorted(math.floor(v) for v in told) == sorted(black):
         # Tag 0xC68D is ActiveArea, which ExifRead does not name.
-        area = _of_mosaic(exif, "0xC68D") or _of_mosaic(exif, "ActiveArea") or [0, 0]
+        area = _of_mosaic(exif, "0xC68D") or _of_mosaic(exif, "ActiveArea") or [Fraction(0)] * 2
         down, across = raw.sizes.top_margin - int(area[0]), raw.sizes.left_margin - int(area[1])
         black = [told[2 * ((r + down) % 2) + (c + across) % 2] for r in (0, 1) for c in (0, 1)]
     return black[0], black[1], black[2], black[3]
