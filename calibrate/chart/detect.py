@@ -1,11 +1,11 @@
 """Finding the ColorChecker: OpenCV's detector, tried at several exposures, curves and sizes, and not believed unseen.
 
 The detector (`cv2.mcc`) is brittle against exposure and scale and content with mirrored or false charts. So each
-attempt's box is drawn to the patches by an alignment of the whole chart (G. D. Evangelidis and E. Z. Psarakis, ECC, 2008),
-then judged by a fit against the published colours; the best fit of all attempts counts, and an excellent one ends the
+attempt's box is drawn to the patches by `align`, then judged by a fit against the published colours; the best fit of all attempts counts, and an excellent one ends the
 search. In a lat-long map the attempts are made in perspective views.
 """
 
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
@@ -15,11 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from calibrate import CalibrateError
+from calibrate.chart.align import align
 from calibrate.chart.geometry import (
-    BOX_HEIGHT,
-    BOX_WIDTH,
     ChartFound,
-    box_corners,
     box_outline,
     image_from_chart,
     patch_quads,
@@ -32,17 +30,34 @@ from calibrate.chart.views import View, angular_extent, view_at, yaw_pitch
 
 # A chart lit by one light fits within 1–4; below this, other attempts can hardly do better.
 _EXCELLENT_SCORE: Final = 4.5
+# What a box that could not be drawn to the patches counts for in the choice, in ΔE.
+_NOT_ALIGNED: Final = 4.0
 # (percentile of the brightest channel that becomes white, sRGB curve?), the likeliest first.
-_EXPOSURES: Final = ((97.0, True), (90.0, True), (99.5, True), (97.0, False), (75.0, True), (90.0, False), (99.5, False))
+_EXPOSURES: Final = (
+    (97.0, True),
+    (90.0, True),
+    (99.5, True),
+    (97.0, False),
+    (75.0, True),
+    (90.0, False),
+    (99.5, False),
+)
+_PERCENTILES: Final = tuple(sorted({percentile for percentile, _ in _EXPOSURES}))
+# Quarter turns of the picture: the detector finds charts of any rotation, but now and then one clutter of background
+# hides a chart from it at all exposures, and a quarter turn brings it back.
+_TURNS: Final = (0, 2, 1, 3)
 _LONG_SIDES: Final = (1800, 1000)
-_VIEW_SIDE: Final = 900
-_VIEW_FIELD: Final = np.radians(75.0)
-# Rows of views: the horizon first, then downwards (charts stand on tables and floors), then upwards.
-_VIEW_PITCHES: Final = (0.0, -35.0, 35.0, -65.0)
+_VIEW_SIDE: Final = 640
+_VIEW_FIELD: Final = np.radians(90.0)
+# Rows of views (pitch in degrees, views): the horizon first, then downwards (charts stand on tables and floors), then
+# upwards. Neighbours overlap by 30° or so: a chart that is larger is found in the flat map.
+_VIEW_ROWS: Final = ((0.0, 6), (-45.0, 5), (45.0, 5))
+# How many candidates that fit, but not excellently, are worth the time of a closer look.
+_CLOSER_LOOKS: Final = 4
 # A map is reduced to this width for the views; a chart that is lost by that is too small to be measured anyway.
 _WIDEST_MAP: Final = 4096
-_ALIGNED_PX_PER_UNIT: Final = 16
-_ALIGNED_MARGIN: Final = 0.75
+# A fit to the middles of the patches hardly notices a box that is off a little: so small a loss (ΔE) is no objection.
+_SMALL_LOSS: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +65,19 @@ class _Candidate:
     corners: npt.NDArray[np.float64]
     cost: float
     score: float
+    aligned: bool
 
     @property
     def mirrored(self) -> bool:
         return signed_area(self.corners) < 0
+
+    @property
+    def excellent(self) -> bool:
+        return self.aligned and self.score <= _EXCELLENT_SCORE
+
+    @property
+    def rank(self) -> float:
+        return self.score + (0 if self.aligned else _NOT_ALIGNED)
 
 
 def find_chart(
@@ -108,24 +132,37 @@ def _record(candidate: _Candidate, view: View | None) -> ChartFound:
     outline = project(homography, box_outline())
     if view is not None:
         corners, quads, outline = view.map_points(corners), view.map_points(quads), view.map_points(outline)
-    return ChartFound(corners=corners, quads=quads, outline=outline, cost=candidate.cost, score=candidate.score)
+    warnings: tuple[str, ...] = ()
+    if not candidate.aligned:
+        warnings = (
+            "correct.chart: the chart was found, but its box could not be drawn to the patches' edges and may be off by a "
+            "fifth of a patch. Look at the outline in the report, or give the four corners in `correct.chart`.",
+        )
+    return ChartFound(
+        corners=corners,
+        quads=quads,
+        outline=outline,
+        cost=candidate.cost,
+        score=candidate.score,
+        warnings=warnings,
+    )
 
 
-def _search_picture(
-    image: npt.NDArray[np.float32], reference: ChartReference
-) -> tuple[_Candidate | None, View | None]:
+def _search_picture(image: npt.NDArray[np.float32], reference: ChartReference) -> tuple[_Candidate | None, View | None]:
     long_side = max(image.shape[:2])
     sides = [side for side in _LONG_SIDES if side < long_side] + [long_side]
     best: _Candidate | None = None
     for side in sides:
         for candidate in _attempts(image, reference, side / long_side):
             best = _better(best, candidate)
-            if best is not None and best.score <= _EXCELLENT_SCORE:
+            if best.excellent:
                 return best, None
     return best, None
 
 
-def _search_map(environment: npt.NDArray[np.float32], reference: ChartReference) -> tuple[_Candidate | None, View | None]:
+def _search_map(
+    environment: npt.NDArray[np.float32], reference: ChartReference
+) -> tuple[_Candidate | None, View | None]:
     full = environment.shape[:2]
     reduced = environment
     if full[1] > _WIDEST_MAP:
@@ -133,34 +170,44 @@ def _search_map(environment: npt.NDArray[np.float32], reference: ChartReference)
         reduced = np.asarray(cv2.resize(environment, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
     best: _Candidate | None = None
     best_view: View | None = None
+    closer_looks = 0
     for view in _views(reduced, reference):
-        for candidate in _attempts(view.render(reduced), reference, 1.0, exposures=4):
-            if _better(best, candidate) is candidate:
-                best, best_view = candidate, view
-            if best is not None and best.score <= _EXCELLENT_SCORE:
+        for candidate in _attempts(view.render(reduced), reference, 1.0, exposures=3, rounds=1):
+            if best is not None and candidate.rank >= best.rank:
+                continue
+            best, best_view = candidate, View(view.axes, view.side, view.focal_px, full)
+            if best.score <= LARGEST_SCORE and closer_looks < _CLOSER_LOOKS:
+                closer_looks += 1
+                best, best_view = _closer(environment, best, best_view, reference)
+            if best.excellent:
+                return best, best_view
+    return best, best_view
+
+
+def _closer(
+    environment: npt.NDArray[np.float32], best: _Candidate, best_view: View, reference: ChartReference
+) -> tuple[_Candidate, View]:
+    """Look once more with the chart in the middle: less stretched, as large as useful, in the full map."""
+    on_map = best_view.map_points(best.corners)
+    view = _view_around(on_map, best_view.map_size)
+    shown = view.render(environment)
+    closest = _aligned_and_judged(shown, _view_points(view, on_map), best.cost, reference)
+    if not closest.excellent:
+        for candidate in _attempts(shown, reference, 1.0, rounds=2):
+            closest = _better(closest, candidate)
+            if closest.excellent:
                 break
-        if best is not None and best.score <= _EXCELLENT_SCORE:
-            break
-    if best is None or best_view is None:
-        return None, None
-    # Once more with the chart in the middle: less stretched, as large as useful, in the full map.
-    on_map = View(best_view.axes, best_view.side, best_view.focal_px, full).map_points(best.corners)
-    view = _view_around(on_map, full)
-    closer = _aligned_and_judged(view.render(environment), _view_points(view, on_map), best.cost, reference)
-    if closer.score <= best.score + 0.5:
-        return closer, view
-    return best, View(best_view.axes, best_view.side, best_view.focal_px, full)
+    return (closest, view) if closest.rank <= best.rank + _SMALL_LOSS else (best, best_view)
 
 
 def _views(environment: npt.NDArray[np.float32], reference: ChartReference) -> Iterator[View]:
     """Yield the views to search: around what looks like a chart in the flat map, then all round."""
     size = environment.shape[:2]
     long_side = max(size)
-    for candidate in _attempts(environment, reference, min(1.0, _LONG_SIDES[0] / long_side), exposures=3):
+    for candidate in _attempts(environment, reference, min(1.0, _LONG_SIDES[0] / long_side), exposures=3, rounds=2):
         if candidate.score <= 2 * LARGEST_SCORE:
             yield _view_around(candidate.corners, size)
-    for pitch in _VIEW_PITCHES:
-        count = max(4, round(8 * np.cos(np.radians(pitch))))
+    for pitch, count in _VIEW_ROWS:
         for step in range(count):
             # From the middle of the map outwards to both sides.
             yaw = 2 * np.pi / count * ((step + 1) // 2) * (1 if step % 2 else -1)
@@ -182,13 +229,21 @@ def _view_points(view: View, points: npt.NDArray[np.float64]) -> npt.NDArray[np.
 
 
 def _better(best: _Candidate | None, candidate: _Candidate) -> _Candidate:
-    return candidate if best is None or candidate.score < best.score else best
+    return candidate if best is None or candidate.rank < best.rank else best
 
 
 def _attempts(
-    image: npt.NDArray[np.float32], reference: ChartReference, scale: float, exposures: int = len(_EXPOSURES)
+    image: npt.NDArray[np.float32],
+    reference: ChartReference,
+    scale: float,
+    *,
+    exposures: int = len(_EXPOSURES),
+    rounds: int = len(_TURNS),
 ) -> Iterator[_Candidate]:
-    """Yield what the detector takes for the chart in `image`, one attempt after the other, aligned and judged."""
+    """Yield what the detector takes for the chart in `image`, one attempt after the other, aligned and judged.
+
+    Each round goes through the exposures, with the turns shifted by one against the round before.
+    """
     small = image
     if scale < 1:
         small = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.float32)
@@ -196,11 +251,14 @@ def _attempts(
     brightest = brightest[np.isfinite(brightest) & (brightest > 0)]
     if brightest.size == 0:
         return
-    for percentile, curve in _EXPOSURES[:exposures]:
-        box_and_cost = _detect(_eight_bit(small, float(np.percentile(brightest, percentile)), srgb_curve=curve))
-        if box_and_cost is None:
+    whites = dict(zip(_PERCENTILES, np.percentile(brightest, _PERCENTILES), strict=True))
+    for attempt in range(exposures * rounds):
+        percentile, curve = _EXPOSURES[attempt % exposures]
+        turns = _TURNS[(attempt // exposures + attempt % exposures) % len(_TURNS)]
+        found = _detect(_eight_bit(small, float(whites[percentile]), srgb_curve=curve), turns)
+        if found is None:
             continue
-        box, cost = box_and_cost
+        box, cost = found
         # Pixel centres are integers, so a reduced image's coordinates shift by half a pixel as well.
         corners = (box + 0.5) / scale - 0.5
         if np.isfinite(corners).all() and abs(signed_area(corners)) > 100:
@@ -209,77 +267,53 @@ def _attempts(
 
 def _eight_bit(image: npt.NDArray[np.float32], white: float, *, srgb_curve: bool) -> npt.NDArray[np.uint8]:
     """Return BGR bytes with `white` at 255; lost pixels are white, as most are clipped."""
-    value = np.clip(np.nan_to_num(image / np.float32(white), nan=1.0, posinf=1.0), 0, 1)
-    if srgb_curve:
-        value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 0.0031308) ** (1 / 2.4) - 0.055)
-    return np.ascontiguousarray((value[..., ::-1] * 255 + 0.5).astype(np.uint8))
+    levels = np.nan_to_num(image[..., ::-1] * np.float32(4095 / white), nan=4095.0, posinf=4095.0)
+    return np.asarray(np.take(_curve(srgb_curve), np.clip(levels + 0.5, 0, 4095).astype(np.uint16)), dtype=np.uint8)
 
 
-def _detect(bgr: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.float64], float] | None:
+@functools.cache
+def _curve(srgb: bool) -> npt.NDArray[np.uint8]:
+    """Bytes for 4096 linear levels."""
+    value = np.linspace(0, 1, 4096)
+    if srgb:
+        value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+    return (value * 255 + 0.5).astype(np.uint8)
+
+
+def _detect(bgr: npt.NDArray[np.uint8], turns: int = 0) -> tuple[npt.NDArray[np.float64], float] | None:
+    """Return box and cost of the best chart in a picture that is shown to the detector after some quarter turns."""
     detector = cv2.mcc.CCheckerDetector.create()
     # A fresh detector's type is uninitialised memory, and the best chart after a failed search a null pointer.
     detector.setColorChartType(cv2.mcc.MCC24)
     detector.setUseDnnModel(False)
     # One chart only: asked for more, it invents some.
-    if not detector.process(bgr, 1):
+    if not detector.process(np.ascontiguousarray(np.rot90(bgr, turns)), 1):
         return None
     chart = detector.getBestColorChecker()
-    return np.asarray(chart.getBox(), dtype=np.float64).reshape(4, 2), float(chart.getCost())
+    x, y = np.asarray(chart.getBox(), dtype=np.float64).reshape(4, 2).T
+    height, width = bgr.shape[:2]
+    # np.rot90 turns anticlockwise: pixel (x, y) comes to (y, width − 1 − x); undone here.
+    if turns == 1:
+        x, y = width - 1 - y, x
+    elif turns == 2:
+        x, y = width - 1 - x, height - 1 - y
+    elif turns == 3:
+        x, y = y, height - 1 - x
+    return np.stack([x, y], axis=-1), float(chart.getCost())
 
 
 def _aligned_and_judged(
     image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], cost: float, reference: ChartReference
 ) -> _Candidate:
-    """Return the better of the box as given and the box drawn to the patches."""
+    """Return the box drawn to the patches, or as given if that fails or fits worse."""
     score, order = best_order(glance(image, corners), reference)
-    given = _Candidate(corners[list(order)], cost, score)
+    given = _Candidate(corners[list(order)], cost, score, aligned=False)
     if not score <= 2 * LARGEST_SCORE:
         return given
-    aligned = _align(image, given.corners)
+    aligned = align(image, given.corners)
     if aligned is None:
         return given
     score, order = best_order(glance(image, aligned), reference)
-    # A fit to the patches' middles hardly notices a box that is off by a little, so a small loss is no objection.
-    return _Candidate(aligned[list(order)], cost, score) if score <= given.score + 0.5 else given
-
-
-def _align(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
-    """Return the corners [4, 2] for which a drawing of the chart covers the chart best; None if that cannot be said."""
-    seen = glance(image, corners)
-    if not np.isfinite(seen).all():
-        return None
-    unit, margin = _ALIGNED_PX_PER_UNIT, _ALIGNED_MARGIN
-    size = (round((BOX_WIDTH + 2 * margin) * unit), round((BOX_HEIGHT + 2 * margin) * unit))
-    chart_from_flat = np.array([[1 / unit, 0, -margin], [0, 1 / unit, -margin], [0, 0, 1]])
-    image_from_flat = image_from_chart(corners) @ chart_from_flat
-    flat = cv2.warpPerspective(
-        image,
-        image_from_flat,
-        size,
-        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=(np.nan, np.nan, np.nan, np.nan),
-    )
-    valid = np.isfinite(flat).all(axis=2)
-    white = max(float(seen.sum(axis=1).max()), 1e-12)
-    grey = np.cbrt(np.clip(np.nan_to_num(flat.sum(axis=2)) / white, 0, 1.5)).astype(np.float32)
-    levels = np.cbrt(np.clip(seen.sum(axis=1) / white, 0, 1.5))
-    drawing = np.full(size[::-1], 0.8 * float(levels.min()), dtype=np.float32)
-    for quad, level in zip(patch_quads(1.0), levels, strict=True):
-        (left, top), (right, bottom) = ((quad[[0, 2]] + margin) * unit).round().astype(int)
-        drawing[top:bottom, left:right] = level
-    # As blurred as the photograph, whose pixel may be many of these.
-    spread = unit * np.sqrt((BOX_WIDTH * BOX_HEIGHT) / max(abs(signed_area(corners)), 1.0))
-    drawing = np.asarray(cv2.GaussianBlur(drawing, (0, 0), max(0.6 * spread, 0.8)), dtype=np.float32)
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-6)
-    try:
-        _, warp = cv2.findTransformECC(
-            drawing, grey, np.eye(3, dtype=np.float32), cv2.MOTION_HOMOGRAPHY, criteria, valid.astype(np.uint8), 3
-        )
-    except cv2.error:  # it did not converge
-        return None
-    flat_corners = (box_corners() + margin) * unit - 0.5
-    moved = project(image_from_flat, project(warp.astype(np.float64), flat_corners))
-    # Half a patch is farther than the detector errs; a warp that far has slipped to a neighbour.
-    limit = 1.25 * np.sqrt(abs(signed_area(corners)) / (BOX_WIDTH * BOX_HEIGHT))
-    return moved if np.isfinite(moved).all() and np.abs(moved - corners).max() < limit else None
+    if score > given.score + _SMALL_LOSS:
+        return given
+    return _Candidate(aligned[list(order)], cost, score, aligned=True)

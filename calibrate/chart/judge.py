@@ -56,9 +56,7 @@ def glance(
     return values
 
 
-def best_order(
-    patches: npt.NDArray[np.float64], reference: ChartReference
-) -> tuple[float, tuple[int, int, int, int]]:
+def best_order(patches: npt.NDArray[np.float64], reference: ChartReference) -> tuple[float, tuple[int, int, int, int]]:
     """Return the best mean CIEDE2000 over the four orders of reading `patches` [24, 3], and its order of corners.
 
     The score is infinite if too many patches are NaN.

@@ -110,12 +110,10 @@ def samples_in_polygon(
         return None
     y, x = np.mgrid[low[1] : high[1] + 1, low[0] : high[0] + 1]
     sides = np.roll(polygon, -1, axis=0) - polygon
-    crosses = [
-        dx * (y - y0) - dy * (x - x0) for (x0, y0), (dx, dy) in zip(polygon, sides, strict=True)
-    ]
+    crosses = [dx * (y - y0) - dy * (x - x0) for (x0, y0), (dx, dy) in zip(polygon, sides, strict=True)]
     inside = np.all([cross >= 0 for cross in crosses], axis=0) | np.all([cross <= 0 for cross in crosses], axis=0)
     rows, columns = y[inside], x[inside] % width
-    samples = image[rows, columns].astype(np.float64)
+    samples: npt.NDArray[np.float64] = image[rows, columns].astype(np.float64)
     if lost is not None:
         samples[lost[rows, columns]] = np.nan
     return samples

@@ -5,12 +5,14 @@ direction (sin θ sin φ, cos θ, −sin θ cos φ).
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 Points = npt.NDArray[np.float64]
+_Real = TypeVar("_Real", np.float32, np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,12 +26,13 @@ class View:
     focal_px: float
     map_size: tuple[int, int]
 
-    def map_points(self, points: Points) -> Points:
+    def map_points(self, points: npt.NDArray[_Real]) -> npt.NDArray[_Real]:
         """Return the map pixels [..., 2] of view pixels [..., 2]; x is continuous around the view's centre."""
-        centred = (np.asarray(points, dtype=np.float64) - (self.side - 1) / 2) / self.focal_px
-        directions = centred[..., :1] * self.axes[0] + centred[..., 1:] * self.axes[1] + self.axes[2]
+        centred = (points - (self.side - 1) / 2) / self.focal_px
+        axes = self.axes.astype(points.dtype)
+        directions = centred[..., :1] * axes[0] + centred[..., 1:] * axes[1] + axes[2]
         height, width = self.map_size
-        forward = np.arctan2(self.axes[2, 0], -self.axes[2, 2])
+        forward = float(np.arctan2(self.axes[2, 0], -self.axes[2, 2]))
         phi = np.arctan2(directions[..., 0], -directions[..., 2]) - forward
         phi = forward + (phi + np.pi) % (2 * np.pi) - np.pi
         theta = np.arctan2(np.hypot(directions[..., 0], directions[..., 2]), directions[..., 1])
@@ -38,7 +41,7 @@ class View:
     def render(self, environment: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return what the view shows of a lat-long map [H, W, 3]: [side, side, 3], bilinear; NaN where it touches NaN."""
         y, x = np.mgrid[: self.side, : self.side]
-        points = self.map_points(np.stack([x, y], axis=-1).astype(np.float64)).astype(np.float32)
+        points = self.map_points(np.stack([x, y], axis=-1).astype(np.float32))
         width = self.map_size[1]
         # Only the columns in view, with their neighbours across the seam: remap's sides are limited to 32767.
         first, last = int(np.floor(points[..., 0].min())) - 1, int(np.ceil(points[..., 0].max())) + 2

@@ -1,0 +1,94 @@
+"""Drawing a chart's box to the edges of its patches.
+
+The chart is flattened with the box at hand and compared with a drawing of itself: patches of the levels just read, dark
+gaps between them. The homography that makes both agree best (G. D. Evangelidis and E. Z. Psarakis, "Parametric Image
+Alignment Using Enhanced Correlation Coefficient Maximization", 2008), coarsely first, corrects the box to a fraction
+of a pixel; a detector's box is off by a tenth of a patch or two.
+"""
+
+from typing import Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from calibrate.chart.geometry import (
+    BOX_HEIGHT,
+    BOX_WIDTH,
+    box_corners,
+    image_from_chart,
+    patch_quads,
+    project,
+    signed_area,
+)
+from calibrate.chart.judge import glance
+
+# Pixels a chart unit in the two flattened charts: a patch is 10, then 40 pixels wide.
+_UNITS_PX: Final = (4, 16)
+# The part of the frame that is compared too, in chart units; the dark frame of every edition reaches farther.
+_MARGIN: Final = 0.75
+# Half a patch is farther than a detector errs; a warp that far has slipped to a neighbour. In chart units.
+_FARTHEST: Final = 1.25
+
+
+def align(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
+    """Return the corners [4, 2] for which a drawing of the chart covers the chart in `image` best.
+
+    None if the alignment does not converge, or slips by half a patch.
+    """
+    aligned = corners
+    for unit in _UNITS_PX:
+        moved = _aligned_once(image, aligned, unit)
+        if moved is None:
+            return None
+        aligned = moved
+    limit = _FARTHEST * np.sqrt(abs(signed_area(corners)) / (BOX_WIDTH * BOX_HEIGHT))
+    return aligned if np.abs(aligned - corners).max() < limit else None
+
+
+def _aligned_once(
+    image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], unit: int
+) -> npt.NDArray[np.float64] | None:
+    levels = glance(image, corners).sum(axis=1)
+    if not np.isfinite(levels).all():
+        return None
+    size = (round((BOX_WIDTH + 2 * _MARGIN) * unit), round((BOX_HEIGHT + 2 * _MARGIN) * unit))
+    # Flattened pixel (x, y), integer = centre, shows the chart at ((x + ½)/unit − margin, …).
+    chart_from_flat = np.array([[1 / unit, 0, 0.5 / unit - _MARGIN], [0, 1 / unit, 0.5 / unit - _MARGIN], [0, 0, 1]])
+    image_from_flat = image_from_chart(corners) @ chart_from_flat
+    image_px_per_unit = np.sqrt(abs(signed_area(corners)) / (BOX_WIDTH * BOX_HEIGHT))
+    if image_px_per_unit > 1.5 * unit:
+        image = cv2.GaussianBlur(image, (0, 0), 0.35 * image_px_per_unit / unit)
+    flat = cv2.warpPerspective(
+        image,
+        image_from_flat,
+        size,
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=(np.nan, np.nan, np.nan, np.nan),
+    )
+    white = max(float(levels.max()), 1e-12)
+    valid = np.isfinite(flat).all(axis=2).astype(np.uint8)
+    grey = np.cbrt(np.clip(np.nan_to_num(flat.sum(axis=2)) / white, 0, 1.5)).astype(np.float32)
+    drawing = _drawing(np.cbrt(np.clip(levels / white, 0, 1.5)), unit, size, blur=0.6 * unit / image_px_per_unit)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-6)
+    try:
+        _, warp = cv2.findTransformECC(
+            drawing, grey, np.eye(3, dtype=np.float32), cv2.MOTION_HOMOGRAPHY, criteria, valid, 3
+        )
+    except cv2.error:  # it did not converge
+        return None
+    flat_from_chart = np.linalg.inv(chart_from_flat)
+    moved = project(image_from_flat @ warp.astype(np.float64) @ flat_from_chart, box_corners())
+    return moved if np.isfinite(moved).all() else None
+
+
+def _drawing(
+    levels: npt.NDArray[np.float64], unit: int, size: tuple[int, int], *, blur: float
+) -> npt.NDArray[np.float32]:
+    """The flattened chart as it should look: `levels` [24] on a dark ground, as blurred as the photograph's pixels are."""
+    drawing = np.full(size[::-1], 0.8 * float(levels.min()), dtype=np.float32)
+    for quad, level in zip(patch_quads(1.0), levels, strict=True):
+        (left, top), (right, bottom) = ((quad[[0, 2]] + _MARGIN) * unit).round().astype(int)
+        drawing[top:bottom, left:right] = level
+    return np.asarray(cv2.GaussianBlur(drawing, (0, 0), max(blur, 0.6)), dtype=np.float32)
