@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import io
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,9 @@ from envcal.errors import EnvcalError
 MOST_BYTES = 1 << 20
 
 WorkingSpace = Literal["ITU-R BT.2020", "sRGB", "P3-D65", "ACEScg", "ACES2065-1", "Adobe Wide Gamut RGB"]
-LightType = Literal["daylight", "sunset", "led", "fluorescent", "incandescent", "smooth"]
+LIGHT_TYPES = ("daylight", "sunset", "led", "fluorescent", "incandescent", "smooth")
+#: Lamps whose spectra the CIE publishes, as colour-science names them.
+CIE_LAMP = re.compile(r"(FL([1-9]|1[0-2])|FL3\.([1-9]|1[0-5])|HP[1-5]|LED-(B[1-5]|BH1|RGB1|V1|V2))")
 Indoor = Literal["auto", "led", "fluorescent", "incandescent"]
 
 
@@ -45,6 +48,15 @@ def _wavelengths(text: str) -> str:
     return text
 
 
+def _light_type(text: str) -> str:
+    if text not in LIGHT_TYPES and not CIE_LAMP.fullmatch(text):
+        near = difflib.get_close_matches(text, LIGHT_TYPES, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"{text!r} is no kind of light: {', '.join(LIGHT_TYPES)} or a CIE lamp such as FL11{hint}")
+    return text
+
+
+LightType = Annotated[str, AfterValidator(_light_type)]
 Wavelengths = Annotated[str, AfterValidator(_wavelengths)]
 Pixel = tuple[float, float]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -127,7 +139,8 @@ class DeclaredLight(Settings):
     at: tuple[Share, Share]
     """u, v from the top left of the map; the light is that of the cluster there."""
     type: LightType | None = None
-    """Kind of lamp."""
+    """daylight, sunset, led, fluorescent, incandescent, smooth, or a CIE lamp by name: FL1 to FL12, FL3.1 to FL3.15,
+    HP1 to HP5, LED-B1 to LED-B5, LED-BH1, LED-RGB1, LED-V1, LED-V2."""
     cct: Annotated[float, Field(ge=500, le=200_000)] | None = None
     """Correlated colour temperature in kelvin. Left out: taken from the map."""
     spd: Path | None = None
@@ -152,9 +165,9 @@ class ClusterSettings(Settings):
     temperature, which is the choice that harms least."""
     most: Annotated[int, Field(ge=1, le=6)] = 6
     """The largest number of clusters."""
-    estimator: Literal["robust", "paper"] = "robust"
-    """How a cluster's colour temperature is found: from the light seen directly where it is (robust), or as in the
-    paper from the cluster's mean."""
+    estimator: Literal["lamps", "paper"] = "lamps"
+    """How clusters and their colour temperatures are found: from the lamps seen directly where they are, or as in the
+    paper from all bright pixels and the cluster's mean."""
     lights: list[DeclaredLight] = []
     """What is known of the lights."""
 
@@ -369,7 +382,7 @@ def _path_in(tree: Any, loc: Sequence[str | int]) -> tuple[str | int, ...]:
     path: list[str | int] = []
     for key in loc:
         if (isinstance(node, dict) and key in node) or (isinstance(node, list) and key in range(len(node))):
-            node = node[key]
+            node = node[key]  # type: ignore[index, unused-ignore]
             path.append(key)
     return tuple(path)
 

@@ -314,5 +314,5 @@ def rgb_planes(image: npt.NDArray[np.floating]) -> dict[str, npt.NDArray[np.floa
 
 def with_lost(image: npt.NDArray[np.float32]) -> dict[str, Plane]:
     """R, G, B and `lost`, 1 where a channel is NaN, as the stages before the map's spectra hand them over."""
-    lost = np.isnan(image).any(axis=2).astype(np.uint32)
-    return {**rgb_planes(image), "lost": lost}
+    planes: dict[str, Plane] = dict(rgb_planes(image))
+    return planes | {"lost": np.asarray(np.isnan(image).any(axis=2), np.uint32)}

@@ -25,10 +25,14 @@ class LightRecord(_Part):
     type: str
     name: str = ""
     cct: float | None
-    """Kelvin; null where the colour has none."""
-    cct_sigma: float | None = None
-    """Standard deviation of the CCT in kelvin, from the spread of the evidence."""
+    """Kelvin, of the spectrum that was chosen; null where there is none."""
     duv: float | None
+    cct_seen: float | None
+    """Kelvin, of the light's colour in the map."""
+    cct_sigma: float | None
+    """Standard deviation of `cct_seen`, from the spread of the evidence."""
+    duv_seen: float | None
+    outdoor: bool
     share: float
     """Of the map's luminance × solid angle."""
     at: tuple[float, float]
@@ -70,6 +74,9 @@ def record(light: Light) -> LightRecord:
         cct=finite(light.cct),
         cct_sigma=finite(light.cct_sigma),
         duv=finite(light.duv),
+        cct_seen=finite(light.cct_seen),
+        duv_seen=finite(light.duv_seen),
+        outdoor=light.outdoor,
         share=light.share,
         at=light.at,
         source=light.source,

@@ -16,9 +16,8 @@ from envcal.runner import Outcome
 
 def calibrate_on_lamp(corrected: Path, settings: BalanceSettings) -> Profile:
     """Find the D65 lamp in a corrected reference shot and return its profile, completed."""
-    from calibrate.lamp import find_lamp, measure_lamp, rectangle_from_chart
-
     from calibrate.adapt import cone_matrix, von_kries_matrix
+    from calibrate.lamp import find_lamp, measure_lamp, rectangle_from_chart
     from uplift.spectrum import illuminant, observer, rgb_space, xyz_of
 
     header, image, profile = _read_corrected(corrected)

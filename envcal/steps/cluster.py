@@ -17,7 +17,6 @@ from envcal.spd import read_spd
 
 if TYPE_CHECKING:
     from uplift.lights import Declared
-
     from uplift.spectrum import Observer
 
 
@@ -35,9 +34,8 @@ def cluster(
 
     The lights also stand in the header of `out`, so that one file carries all that the uplift needs.
     """
-    from uplift.lights import lights_of
-
     from uplift.cluster import cluster_angles
+    from uplift.lights import lights_of
     from uplift.sky import find_sky
     from uplift.spectrum import observer, rgb_space
 
@@ -84,15 +82,15 @@ def cluster(
         "sky": sky.present,
         "lights": [light.model_dump(mode="json", exclude={"emission"}) for light in lights.lights],
     }
-    return Outcome(summary(lights.lights), figures, [*clusters.warnings, *found.warnings])
+    return Outcome(summary(lights.lights), figures, found.warnings)
 
 
 def _declared(light: DeclaredLight, seen: Observer) -> Declared:
-    from uplift.illuminants.measured import measured
+    from uplift.illuminants.measured import measured_emission
     from uplift.lights import Declared
 
     emission = None
     if light.spd is not None:
-        emission = measured(*read_spd(light.spd), seen, name=str(light.spd))
+        emission = measured_emission(*read_spd(light.spd), seen, name=str(light.spd))
     name = light.name or (light.spd.name if light.spd else "")
     return Declared(at=light.at, type=light.type, cct=light.cct, emission=emission, name=name)

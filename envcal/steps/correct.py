@@ -22,7 +22,6 @@ def calibrate_on_chart(merged: Path, settings: CorrectSettings, working_space: s
     from uplift.spectrum import rgb_space
 
     header, image = _read_merged(merged)
-    lost = np.isnan(image).any(axis=2)
     reference = chart_reference(settings.reference)
     latlong = header.size[1] == 2 * header.size[0]
     if settings.chart == "auto":
@@ -30,9 +29,7 @@ def calibrate_on_chart(merged: Path, settings: CorrectSettings, working_space: s
     else:
         found = chart_from_corners(np.asarray(settings.chart, np.float64))
     # Bayer: a quarter of the red and blue samples were measured, half of the green; the rest is interpolated.
-    patches = measure_patches(
-        image, found.quads, names=reference.names, lost=lost, latlong=latlong, independent=(0.25, 0.5, 0.25)
-    )
+    patches = measure_patches(image, found.quads, names=reference.names, latlong=latlong, independent=(0.25, 0.5, 0.25))
     fit = fit_matrix(
         patches.rgb,
         reference,

@@ -100,9 +100,8 @@ def _solver(
     lights: Lights, settings: UpliftSettings, seen: Observer, space: RGBSpace
 ) -> tuple[Callable[[Image, npt.NDArray[np.uint32]], Uplifted], list[Emission]]:
     """The function that solves a tile, and the emissions that its result counts by index."""
-    from uplift.scaled import uplift_scaled
-
     from uplift.pixels import uplift_pixels
+    from uplift.scaled import uplift_scaled
     from uplift.spectrum import illuminant
     from uplift.table import build_table
 
