@@ -1,9 +1,9 @@
 """A bracket of RAW frames of a synthetic place, and writing it as DNG.
 
-    capture = make_capture(CaptureSettings(width=512, seed=3))
-    capture.frames[0].mosaic        # uint16 [H, W]
-    capture.truth().camera_rgb      # what a perfect camera would have found
-    write_capture(folder, capture)
+capture = make_capture(CaptureSettings(width=512, seed=3))
+capture.frames[0].mosaic        # uint16 [H, W]
+capture.truth().camera_rgb      # what a perfect camera would have found
+write_capture(folder, capture)
 """
 
 from __future__ import annotations
@@ -93,9 +93,7 @@ def make_capture(settings: CaptureSettings | None = None) -> Capture:
 def encode_frame(frame: Frame, *, compressed: bool = False) -> bytes:
     """Return a frame as the bytes of a DNG, its white balance set for D65."""
     neutral = frame.camera.white_balance(spectra.lamp("D65"))
-    return encode_dng(
-        frame.mosaic, frame.exposure_s, camera=frame.camera, neutral=neutral, compressed=compressed
-    )
+    return encode_dng(frame.mosaic, frame.exposure_s, camera=frame.camera, neutral=neutral, compressed=compressed)
 
 
 def write_capture(folder: Path, capture: Capture, *, compressed: bool = False) -> tuple[Path, ...]:

@@ -58,7 +58,7 @@ class Chart:
 
     azimuth_deg: float = 13.0
     elevation_deg: float = -9.0
-    distance_m: float = 0.40
+    distance_m: float = 0.37
     yaw_deg: float = -6.0
     pitch_deg: float = 7.0
     roll_deg: float = 1.5
@@ -69,13 +69,13 @@ class Chart:
 class Module:
     """The D65 lamp: an upright strip beside the chart, in its plane, `size_m` wide and high, in cd/m²."""
 
-    luminance: float = 200.0
+    luminance: float = 250.0
     size_m: tuple[float, float] = (0.015, 0.120)
     gap_m: float = 0.022
     spectrum: str = "D65 module"
 
 
-CEILING = Lamp("ceiling panel", "LED-B4", "panel", (1.05, 2.585, 0.15), (1.2, 0.6), 4000.0)
+CEILING = Lamp("ceiling panel", "LED-B4", "panel", (1.0, 2.585, 0.90), (1.2, 0.6), 4000.0)
 STANDING = Lamp("standing globe", "A", "globe", (-1.93, 1.43, -1.42), (0.14,), 5600.0)
 TUBE = Lamp("tube", "FL2", "panel", (1.9, 1.95, -2.2), (0.9, 0.08), 5000.0)
 TWO_LAMPS = (CEILING, STANDING)
@@ -244,7 +244,7 @@ class _Builder:
 
     def box(
         self, centre: tuple[float, float, float] | Float64, half: tuple[float, float, float],
-        material: int, *, axes: Float64 | None = None, turn_deg: float = 0.0, grid: int = 2,
+        material: int, *, axes: Float64 | None = None, turn_deg: float = 0.0, grid: int = 1,
     ) -> int:  # fmt: skip
         """Add a box and return its index; `turn_deg` about the vertical."""
         if axes is None:
@@ -287,9 +287,9 @@ class _Builder:
             grids=np.array([grid for *_, grid in self.boxes], np.int32),
             spheres=np.array(spheres, float).reshape(-1, 4),
             sphere_codes=np.array(codes, np.int32).reshape(-1, 2),
-            lamps=np.array(
-                [(kind, count + i if form == "sphere" else i) for kind, form, i in lamps], np.int32
-            ).reshape(-1, 2),
+            lamps=np.array([(kind, count + i if form == "sphere" else i) for kind, form, i in lamps], np.int32).reshape(
+                -1, 2
+            ),
         )
 
 
@@ -420,13 +420,13 @@ def _pick(chance: float, *choices: int) -> int:
 def _shell(b: _Builder, chance: Float64) -> None:
     """Add walls, floor and ceiling; the wall in front has a colour of its own."""
     wall = b.material(_pick(chance[0], 60, 91, 23))
-    accent = b.material(_pick(chance[1], 54, 72, 27, 61, 14))
-    room = b.box((-0.04, 1.306, -0.06), (2.65, 1.306, 2.35), wall, grid=16)
+    accent = b.material(_pick(chance[1], 54, 72, 61, 27, 14))
+    room = b.box((-0.04, 1.306, -0.06), (2.65, 1.306, 2.35), wall, grid=14)
     faces = b.boxes[room][3]
     faces[4] = accent
     faces[2] = b.material(_pick(chance[2], 17, 18, 19))
     faces[3] = b.material("white")
-    b.texture(room, (2,), transport.PLANKS, b.material(_pick(chance[2], 18, 16, 18)), 0.31)
+    b.texture(room, (2,), transport.PLANKS, b.material(_pick(chance[2], 18, 16, 18)), 0.21)
 
 
 def _stand(b: _Builder, centre: Float64, axes: Float64) -> None:
@@ -442,7 +442,9 @@ def _furnish(b: _Builder, chance: Float64) -> None:
     wood, dark_wood = b.material(_pick(chance[3], 17, 19, 16)), b.material(13)
     white, black = b.material("white"), b.material("black")
 
-    rug = b.box((-0.35, 0.007, -0.35), (1.25, 0.006, 0.85), b.material(_pick(chance[4], 7, 71, 52)), grid=6, turn_deg=4.0)
+    rug = b.box(
+        (-0.35, 0.007, -0.35), (1.25, 0.006, 0.85), b.material(_pick(chance[4], 7, 71, 52)), grid=6, turn_deg=4.0
+    )
     b.texture(rug, (_TOP,), transport.CHECKER, b.material(_pick(chance[5], 23, 14, 36)), 0.212)
 
     # Sofa along the left wall.
@@ -481,12 +483,14 @@ def _furnish(b: _Builder, chance: Float64) -> None:
     for i, sample in enumerate((20, 43, 5, 25)):
         b.sphere((x - 0.38 + 0.12 * i, 0.7915, z + 0.10 - 0.05 * (i % 2)), 0.04, b.material(sample))
     b.sphere((x + 0.22, 0.8915, z - 0.12), 0.14, b.material(_pick(chance[17], 42, 88, 73)))
-    b.box((x - 0.12, 0.33, z + 0.75), (0.17, 0.015, 0.17), b.material(_pick(chance[18], 3, 4, 57)), turn_deg=25.0, grid=3)
+    b.box(
+        (x - 0.12, 0.33, z + 0.75), (0.17, 0.015, 0.17), b.material(_pick(chance[18], 3, 4, 57)), turn_deg=25.0, grid=3
+    )
     for i in (-0.12, 0.12):
         b.box((x - 0.12 + i, 0.158, z + 0.75), (0.015, 0.157, 0.12), black, turn_deg=25.0)
 
     # A door in the right wall.
-    b.box((2.597, 1.015, 0.62), (0.012, 1.01, 0.43), b.material(_pick(chance[19], 72, 33, 79)), grid=4)
+    b.box((2.597, 1.015, 0.62), (0.012, 1.01, 0.43), b.material(_pick(chance[19], 33, 72, 79)), grid=4)
     b.box((2.585, 1.015, 0.18), (0.025, 1.01, 0.03), white)
     b.box((2.585, 1.015, 1.06), (0.025, 1.01, 0.03), white)
     b.box((2.585, 2.055, 0.62), (0.025, 0.03, 0.47), white)
@@ -494,7 +498,13 @@ def _furnish(b: _Builder, chance: Float64) -> None:
 
     # A plant in the corner behind on the right.
     b.box((2.12, 0.19, 1.82), (0.17, 0.19, 0.17), b.material(_pick(chance[20], 12, 8, 68)), turn_deg=15.0, grid=3)
-    leaves = ((0.0, 0.62, 0.0, 0.21), (-0.16, 0.50, 0.09, 0.15), (0.15, 0.53, -0.10, 0.16), (0.03, 0.88, -0.05, 0.16), (-0.10, 0.78, -0.12, 0.13))
+    leaves = (
+        (0.0, 0.62, 0.0, 0.21),
+        (-0.16, 0.50, 0.09, 0.15),
+        (0.15, 0.53, -0.10, 0.16),
+        (0.03, 0.88, -0.05, 0.16),
+        (-0.10, 0.78, -0.12, 0.13),
+    )
     for i, (dx, y, dz, radius) in enumerate(leaves):
         b.sphere((2.12 + dx, y, 1.82 + dz), radius, b.material((49, 37, 45, 46, 49)[i]))
 
@@ -516,7 +526,9 @@ def _shelf(b: _Builder, chance: Float64) -> None:
         while left < x + 0.62 - 0.5 * chance[22]:
             number = chance[24 + place % 34] if chance[24] != 0.5 else (0.37 + 0.618034 * place) % 1.0
             thick, tall = 0.022 + 0.035 * number, 0.13 + 0.07 * ((5.0 * number) % 1.0)
-            b.box((left + thick, y + tall, z - 0.03), (thick - 0.002, tall, 0.11), b.material(books[place % len(books)]))
+            b.box(
+                (left + thick, y + tall, z - 0.03), (thick - 0.002, tall, 0.11), b.material(books[place % len(books)])
+            )
             left += 2.0 * thick
             place += 1
     b.sphere((x + 0.55, 0.2565, z - 0.02), 0.14, b.material(22))
@@ -577,7 +589,7 @@ class View:
 
 
 _LAMP_POINTS = 3  # a lamp is sampled at (this × sub)² places for every pixel
-_GATHERED = 256  # directions followed from every node
+_GATHERED = 160  # directions followed from every node
 _AT_ONCE = 1 << 16  # pixels followed at once, to bound memory
 
 
@@ -601,9 +613,7 @@ def look(place: Room | Furnace, projection: Projection, *, sub: int = 2) -> View
             scene.geometry, origins, directions[part], materials[part], places, normals,
             nodes[part], weights[part],
         )  # fmt: skip
-        transport.shine(
-            scene.geometry, materials[part], places, normals, shifts.copy(), _LAMP_POINTS, light[part]
-        )
+        transport.shine(scene.geometry, materials[part], places, normals, shifts.copy(), _LAMP_POINTS, light[part])
     return View(scene, projection, materials, light, nodes, weights)
 
 

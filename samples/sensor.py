@@ -142,9 +142,7 @@ def bayer(rgb: Float64, cfa: str) -> Float64:
     return mosaic
 
 
-def expose(
-    rgb: Float64, exposure_s: Fraction, *, camera: Camera, seed: int = 0, frame: int = 0
-) -> Counts:
+def expose(rgb: Float64, exposure_s: Fraction, *, camera: Camera, seed: int = 0, frame: int = 0) -> Counts:
     """Return the counts, shape (height, width), of an exposure of camera RGB, shape (height, width, 3).
 
     Photo-electrons are Poisson, reading adds a normal error, counts are rounded and clipped to 0…white.
