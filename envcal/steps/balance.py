@@ -27,7 +27,7 @@ def calibrate_on_lamp(corrected: Path, settings: BalanceSettings) -> Profile:
     if settings.lamp == "auto":
         lamp = find_lamp(image, chart_corners=corners, xyz_from_rgb=space.xyz_from_rgb, latlong=latlong)
     elif isinstance(settings.lamp, LampRectangle):
-        lamp = measure_lamp(image, settings.lamp.rectangle, xyz_from_rgb=space.xyz_from_rgb, latlong=latlong)
+        lamp = measure_lamp(image, rectangle=settings.lamp.rectangle, xyz_from_rgb=space.xyz_from_rgb, latlong=latlong)
     else:
         assert isinstance(settings.lamp, LampOnChart)
         polygon = rectangle_from_chart(settings.lamp.chart_rectangle, corners)
