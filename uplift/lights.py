@@ -44,7 +44,7 @@ SURE_SPECTRUM, SURE_TYPE_AND_CCT, SURE_TYPE = 1.0, 0.95, 0.9
 SURE_OUTDOOR, SURE_INDOOR_SETTING, SURE_UNKNOWN = 0.8, 0.7, 0.3
 BY_SURFACES, OFF_LOCUS, OUT_OF_REACH = 0.7, 0.5, 0.7
 # Relative error of the CCT that the evidence has besides its spread: 90 % of relit rooms were within these.
-CCT_ERROR_DIRECT, CCT_ERROR_SURFACES = 0.02, 0.10
+CCT_ERROR_DIRECT, CCT_ERROR_SURFACES, CCT_ERROR_OUTDOOR = 0.02, 0.10, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -308,6 +308,8 @@ def _seen(clusters: Clusters, cluster: int, space: RGBSpace, estimator: str) -> 
     spread = float(clusters.spread_mired[cluster])
     error = CCT_ERROR_DIRECT if clusters.direct[cluster] else CCT_ERROR_SURFACES
     of_spread = 0.0 if not np.isfinite(spread) else spread * cct**2 / 1e6
+    if clusters.outdoor[cluster]:  # a sky's many colours are no uncertainty of what it gives to a level surface
+        error, of_spread = CCT_ERROR_OUTDOOR, 0.0
     return cct, duv, float(np.hypot(error * cct, of_spread))
 
 

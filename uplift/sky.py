@@ -106,7 +106,7 @@ def _tone_mapped(image: Image, luminance_weights: Floats) -> npt.NDArray[np.uint
     scaled = small * (0.18 / key)
     compressed = scaled / (1.0 + luminance * (0.18 / key))[..., np.newaxis]
     display = np.clip(compressed, 0.0, 1.0) ** (1 / 2.2)
-    return np.rint(255.0 * display).astype(np.uint8)
+    return np.asarray(np.rint(255.0 * display), np.uint8)
 
 
 def _row_weight(rows: int) -> Floats:
@@ -121,7 +121,7 @@ def _gradient(small: npt.NDArray[np.uint8]) -> Floats:
     padded = np.pad(grey, ((0, 0), (1, 1)), mode="wrap")
     across = cv2.Sobel(padded, cv2.CV_64F, 1, 0, ksize=3, borderType=cv2.BORDER_REPLICATE)
     down = cv2.Sobel(padded, cv2.CV_64F, 0, 1, ksize=3, borderType=cv2.BORDER_REPLICATE)
-    return np.hypot(across, down)[:, 1:-1]
+    return np.asarray(np.hypot(across, down)[:, 1:-1], np.float64)
 
 
 def _sums(colours: Floats) -> _Sums:

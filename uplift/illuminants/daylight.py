@@ -71,8 +71,9 @@ def d_series(nominal_cct: float, observer: Observer) -> Floats:
 
 @cache
 def _basis(observer: Observer) -> tuple[Floats, Floats, Floats]:
-    from colour.colorimetry import SDS_BASIS_FUNCTIONS_CIE_ILLUMINANT_D_SERIES as basis
+    from colour.colorimetry import SDS_BASIS_FUNCTIONS_CIE_ILLUMINANT_D_SERIES
 
+    basis = SDS_BASIS_FUNCTIONS_CIE_ILLUMINANT_D_SERIES
     mean, yellow_blue, pink_green = (
         np.interp(observer.wavelengths_nm, basis[name].wavelengths, basis[name].values, left=0.0, right=0.0)
         for name in ("S0", "S1", "S2")

@@ -18,7 +18,7 @@ from uplift.spectrum import Observer, normalised, xyz_of
 
 Floats = npt.NDArray[np.float64]
 
-ON_NODE_K = 1e-3  # an asked CCT this close to a published spectrum's is that spectrum, to the last bit
+ON_NODE_K = 0.05  # an asked CCT this close to a published spectrum's is that spectrum, to the last bit
 
 
 @dataclass(frozen=True, slots=True, eq=False)

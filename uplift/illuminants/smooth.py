@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from uplift.illuminants.daylight import d_series_of_cct, daylight
 from uplift.illuminants.daylight import RANGE_K as DAYLIGHT_K
+from uplift.illuminants.daylight import d_series_of_cct, daylight
 from uplift.illuminants.incandescent import black_body
 from uplift.illuminants.nodes import check_range
 from uplift.spectrum import Observer, normalised

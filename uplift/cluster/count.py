@@ -1,0 +1,126 @@
+"""How many lamps there are: as many as differ clearly."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from uplift.cct import cct_duv, mired, uv_of_xy, xy_of_rgb
+from uplift.cluster.evidence import Evidence, greatest_nearby
+from uplift.cluster.kmeans import angles, directions, histogram, kmeans_up_to, squared
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+MIN_SHARE = 0.03  # of the evidence's light, for a cluster to be one
+MIN_SHARE_SURFACES = 0.20
+MIN_SHARE_UNDER_SKY = 0.10  # of lamps seen under an open sky, where glitter on water is as bright as a lamp
+SKY_MARGIN = 4.0 / 360.0  # of the width: how far beyond the sky's border the sun's glare is still the sky's
+ALIKE_MIRED = 25.0  # closer than this (and than ALIKE_DUV across the locus) two clusters are one lamp's light
+ALIKE_MIRED_SURFACES = 60.0
+ALIKE_DUV = 0.010
+ALIKE_UV = 0.012  # where a CCT does not exist; 25 mired are 0.009 to 0.012 along the locus
+SEPARATION = 4.0  # Ashman's D (1994) with robust spreads; an even spread cut in two has 2.7, two lamps far more
+
+
+def lamp_colours(found: Evidence, label: npt.NDArray[np.int64], count: int) -> Floats:
+    """Light-weighted mean colour [k, 3] of each cluster's evidence (its brightness means nothing)."""
+    scaled = found.rgb / found.rgb.sum(axis=1, keepdims=True) * found.weight[:, np.newaxis]
+    return np.stack([np.bincount(label, scaled[:, i], count) for i in range(3)], axis=1)
+
+
+def _alike(colours: Floats, xyz_from_rgb: Floats, *, least_mired: float) -> Bools:
+    """[k, k]: which pairs of colours may be the light of one kind of lamp."""
+    xy = xy_of_rgb(colours, xyz_from_rgb)
+    cct, duv = cct_duv(xy)
+    uv = uv_of_xy(xy)
+    apart = np.abs(mired(cct)[:, np.newaxis] - mired(cct))
+    across = np.abs(duv[:, np.newaxis] - duv)
+    on_plane = np.sqrt(((uv[:, np.newaxis] - uv) ** 2).sum(axis=-1))
+    nearly = (apart < least_mired) & (across < ALIKE_DUV)
+    out: Bools = np.where(np.isfinite(apart), nearly, on_plane < ALIKE_UV)
+    return out
+
+
+def _separation(points: Floats, weight: Floats, label: npt.NDArray[np.int64], centres: Floats) -> float:
+    """The least Ashman's D over pairs of clusters: distance of two middles over their spreads along that line."""
+    least = np.inf
+    for i in range(len(centres)):
+        for j in range(i):
+            axis = centres[i] - centres[j]
+            length = float(np.sqrt(axis @ axis))
+            if length == 0:
+                return 0.0
+            spreads, middles = [], []
+            for one in (i, j):
+                mine = label == one
+                along = points[mine] @ (axis / length)
+                middle = weighted_median(along, weight[mine])
+                middles.append(middle)
+                spreads.append(1.4826 * weighted_median(np.abs(along - middle), weight[mine]))
+            both = max(float(np.hypot(spreads[0], spreads[1])), 1e-9)
+            least = min(least, float(np.sqrt(2.0)) * abs(middles[0] - middles[1]) / both)
+    return least
+
+
+def weighted_median(values: Floats, weight: Floats) -> float:
+    if not len(values):
+        return 0.0
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(weight[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2)])
+
+
+def choose(found: Evidence, in_sky: Bools | None, xyz_from_rgb: Floats, k_max: int) -> Floats:
+    """Centres [k, 3] of the default method: as many lamps as differ clearly, the sky's light counting as one."""
+    outdoors: list[Floats] = []
+    keep = np.ones(len(found.place), np.bool_)
+    if in_sky is not None:
+        margin = round(SKY_MARGIN * in_sky.shape[1])
+        above = greatest_nearby(in_sky.astype(np.float64), margin).ravel()[found.place] > 0
+        # Without the sun in view nothing outdoors is a lamp; with it, sun and sky are one outdoor light. Surfaces
+        # under an open sky speak for no other lamp.
+        keep = ~above if found.direct else np.zeros_like(above)
+        if found.weight[keep].sum() < MIN_SHARE_UNDER_SKY * found.weight.sum():
+            keep[:] = False
+        rest = ~keep
+        if rest.any():
+            outdoors = [lamp_colours(found, np.where(rest, 0, 1), 2)[:1]]
+    room = k_max - len(outdoors)
+    if not keep.any() or room < 1:
+        return directions(np.vstack(outdoors))
+    least_mired, least_share = (ALIKE_MIRED, MIN_SHARE) if found.direct else (ALIKE_MIRED_SURFACES, MIN_SHARE_SURFACES)
+    points, weight = histogram(directions(found.rgb[keep]), found.rgb[keep], found.weight[keep])
+    best = None
+    for centres in kmeans_up_to(points, weight, room):
+        label = np.argmin(squared(points, centres), axis=1)
+        share = np.bincount(label, weight, len(centres))
+        alike = _alike(np.vstack([centres, *outdoors]), xyz_from_rgb, least_mired=least_mired)
+        np.fill_diagonal(alike, False)
+        if alike.any():
+            continue
+        clear = share.min() >= least_share and _separation(points, weight, label, centres) >= SEPARATION
+        if len(centres) == 1 or clear:
+            best = centres
+    return directions(np.vstack([*([] if best is None else [best]), *outdoors]))
+
+
+def grow_like_the_paper(found: Evidence, in_sky: Bools | None, xyz_from_rgb: Floats, k_max: int) -> Floats:
+    """Centres [k, 2] of the paper's method: k grows until two clusters are alike or two are outdoors."""
+    features = angles(found.rgb)
+    points, weight = histogram(features, found.rgb, found.weight)
+    steps = kmeans_up_to(points, weight, k_max)
+    accepted = steps[0]
+    for centres in steps[1:]:
+        label = np.argmin(squared(features, centres), axis=1)
+        colours = lamp_colours(found, label, len(centres))
+        alike = _alike(colours, xyz_from_rgb, least_mired=ALIKE_MIRED)
+        np.fill_diagonal(alike, False)
+        outdoor = 0
+        if in_sky is not None:
+            above = in_sky.ravel()[found.place]
+            outdoor = int((np.bincount(label[above], minlength=len(centres)) > 0).sum())
+        if alike.any() or outdoor > 1:
+            break
+        accepted = centres
+    return accepted
