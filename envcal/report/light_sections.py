@@ -1,0 +1,300 @@
+"""The map's half of the page: the map, its lights, their spectra, the uplift and the spectral image."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from envcal import exr, lights_file, spectral_exr, uplift_file
+from envcal.config import LIGHT_TYPES, parse_wavelengths
+from envcal.provenance import CAMERA_RGB
+from envcal.report import plots, previews
+
+LONGEST_MAP = 1600
+#: Below this a light's spectrum is a guess that a person should look at.
+LOW_CONFIDENCE = 0.5
+_STATUS = ("exact", "black", "fallback", "closest", "missing")
+_STATUS_COLOURS = ("#4a4a4a", "#000000", "#0072b2", "#e69f00", "#ff00c8")
+_STATUS_MEANING = (
+    "the pixel's colour, under its light",
+    "no radiance",
+    "the pixel's colour, but under D65: its own light cannot show it",
+    "a colour no light can show, moved to the closest that one can",
+    "clipped in every frame: no radiance at all",
+)
+_KNOWN_TYPES = (*LIGHT_TYPES, "discharge", "measured")
+
+
+def environment_map(output: Path) -> dict[str, Any] | None:
+    """The panorama at several exposures: as the eye adapts, the shadows, and down to the brightest lamp."""
+    path = output / "panorama" / "environment.exr"
+    if not path.is_file():
+        return None
+    small = previews.reduced(path, dict.fromkeys("RGB", "mean"), longest=LONGEST_MAP)
+    matrix = previews.srgb_matrix(str(small.header.attributes.get("envcalSpace", CAMERA_RGB)))
+    gain, lamps = previews.exposure(small.rgb, matrix), previews.brightest_gain(small.rgb, matrix)
+    steps = [("as adapted", gain), ("shadows, +3 EV", 8 * gain)]
+    stops = float(np.log2(gain / lamps))
+    if stops > 5:
+        steps.append((f"highlights, −{stops / 2:.1f} EV", float(np.sqrt(gain * lamps))))
+    if stops > 1:
+        steps.append((f"lamps, −{stops:.1f} EV", lamps))
+    height, width = small.header.size
+    return {
+        "width": width,
+        "height": height,
+        "space": small.header.attributes.get("envcalSpace"),
+        "missing": bool(small.missing.any()),
+        "stops": stops,
+        "views": [
+            {
+                "name": name,
+                "picture": previews.jpeg(
+                    previews.display(small.rgb, matrix, gain=value, missing=small.missing), quality=82 if k else 86
+                ),
+            }
+            for k, (name, value) in enumerate(steps)
+        ],
+    }
+
+
+def read_lights(output: Path) -> lights_file.Lights | None:
+    """The lights of the map."""
+    path = output / "cluster" / "lights.json"
+    if not path.is_file():
+        return None
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        value = None
+    return lights_file.parse(value, place=path)
+
+
+def lights(output: Path, found: lights_file.Lights) -> dict[str, Any]:
+    """The clusters over the map, the table of lights, their emission spectra and their chromaticities."""
+    grid = _grid(found.wavelengths)
+    emissions = [np.asarray(light.emission, np.float64) for light in found.lights]
+    lines = [
+        plots.Curve(f"{light.cluster} {_kind(light.type)}", emission, light.cluster)
+        for light, emission in zip(found.lights, emissions, strict=True)
+        if emission.shape == grid.shape
+    ]
+    return {
+        "lights": found.lights,
+        "colours": {light.cluster: plots.colour_of(light.cluster) for light in found.lights},
+        "low": LOW_CONFIDENCE,
+        "space": found.space,
+        "spectra": plots.curves(grid, lines, name="emissions", ylabel="power per nm, equal luminance"),
+        "diagram": _diagram(found),
+        **_cluster_pictures(output, found),
+    }
+
+
+def _grid(wavelengths: str) -> npt.NDArray[np.float64]:
+    start, stop, step = parse_wavelengths(wavelengths)
+    return np.linspace(start, stop, round((stop - start) / step) + 1)
+
+
+def _kind(kind: str) -> str:
+    """A light's type for a label in a plot; what a file calls otherwise is no more than a light there."""
+    return kind if kind in _KNOWN_TYPES else "light"
+
+
+def _diagram(found: lights_file.Lights) -> str:
+    from uplift.cct import planckian_uv, uv_of_xy
+    from uplift.spectrum import observer, xyz_of
+
+    seen = observer(*parse_wavelengths(found.wavelengths), name=found.observer)
+    points = []
+    for light in found.lights:
+        if len(light.emission) != seen.wavelengths_nm.size:
+            continue
+        xyz = xyz_of(light.emission, seen)
+        u, v = uv_of_xy(xyz[:2] / xyz.sum())
+        measured, bar = None, None
+        if light.cct_seen is not None and light.duv_seen is not None:
+            iu, iv = plots.isotherm(light.cct_seen, np.array([light.duv_seen]))[0]
+            measured = (float(iu), float(iv))
+            if light.cct_sigma:
+                sigma = min(light.cct_sigma, 0.6 * light.cct_seen)
+                along = planckian_uv(np.linspace(light.cct_seen - sigma, light.cct_seen + sigma, 15))
+                bar = along + (np.array(measured) - planckian_uv(light.cct_seen))
+        points.append(plots.Point(light.cluster, measured, (float(u), float(v)), bar))
+    return plots.chromaticities(points, name="diagram")
+
+
+def _cluster_pictures(output: Path, found: lights_file.Lights) -> dict[str, Any]:
+    path = output / "cluster" / "clusters.exr"
+    if not path.is_file():
+        return {"map": None, "sky": None}
+    ways: dict[str, Literal["mean", "centre", "max"]] = dict.fromkeys("RGB", "mean")
+    small = previews.reduced(path, {**ways, "cluster": "centre", "sky": "centre"}, longest=LONGEST_MAP)
+    matrix = previews.srgb_matrix(found.space)
+    gain = previews.exposure(small.rgb, matrix)
+    labels = small.planes["cluster"]
+    grey = previews.luminance(small.rgb, matrix).astype(np.float32)
+    shown = previews.display(np.repeat(grey[..., np.newaxis], 3, axis=2), np.eye(3), gain=gain)
+    tint = np.array([_rgb(plots.colour_of(k)) for k in range(int(labels.max()) + 1)])[labels]
+    mixed = np.round(0.55 * shown * (0.35 + 0.65 * tint / 255) + 0.45 * tint).astype(np.uint8)
+    mixed[_borders(labels)] = 255
+    sky = small.planes["sky"] > 0
+    weight = np.sin(np.pi * (np.arange(sky.shape[0]) + 0.5) / sky.shape[0])[:, np.newaxis]
+    pictures: dict[str, Any] = {
+        "map": previews.jpeg(previews.hatched(mixed, small.missing), quality=86),
+        "missing": bool(small.missing.any()),
+        "sky": None,
+        "sky_share": float((sky * weight).sum() / (weight.sum() * sky.shape[1])),
+    }
+    if sky.any():
+        dim = (0.35 * shown).astype(np.uint8)
+        tinted = np.where(sky[..., np.newaxis], np.maximum(shown, 40) // 2 + np.array([20, 70, 120], np.uint8), dim)
+        tinted[_borders(sky.astype(np.uint8))] = 255
+        pictures["sky"] = previews.jpeg(tinted.astype(np.uint8)[::2, ::2])
+    return pictures
+
+
+def _rgb(css: str) -> tuple[int, int, int]:
+    return (int(css[1:3], 16), int(css[3:5], 16), int(css[5:7], 16))
+
+
+def _borders(labels: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+    """Pixels whose right or lower neighbour has another label; the map's seam is no border."""
+    border = labels != np.roll(labels, -1, axis=1)
+    border[:-1] |= labels[:-1] != labels[1:]
+    return border
+
+
+def uplift(output: Path, figures: dict[str, Any], found: lights_file.Lights | None) -> dict[str, Any] | None:
+    """Counts by status, where the pixels that are not exact are, and spectra of some pixels."""
+    path = output / "uplift" / "environment.exr"
+    if not path.is_file():
+        return None
+    header, about = uplift_file.read_about(path)
+    height, width = header.size
+    status = None
+    small = None
+    if "status" in header.channels:
+        small = previews.reduced(path, {"status": "max"}, longest=LONGEST_MAP // 2).planes["status"]
+        others = [k for k in range(2, len(_STATUS)) if (small == k).any()]
+        if others:
+            colours = np.array([_rgb(colour) for colour in _STATUS_COLOURS], np.uint8)
+            status = previews.png(colours[np.minimum(small, len(_STATUS) - 1)])
+    counts = figures.get("status", {})
+    return {
+        "width": width,
+        "height": height,
+        "about": about,
+        "status": [
+            {"name": name, "meaning": meaning, "colour": colour, "count": counts.get(name)}
+            for name, meaning, colour in zip(_STATUS, _STATUS_MEANING, _STATUS_COLOURS, strict=True)
+        ],
+        "map": status,
+        "pixels": _pixel_spectra(path, about, found),
+    }
+
+
+def _pixel_spectra(path: Path, about: uplift_file.About, found: lights_file.Lights | None) -> list[dict[str, Any]]:
+    """For each light: its emission, and the spectra of its brightest pixel and of one of median brightness."""
+    names = ["c0", "c1", "c2", "scale", "cluster", "R", "G", "B"]
+    small = previews.reduced(path, dict.fromkeys(names, "centre"), longest=LONGEST_MAP // 2)
+    planes = small.planes
+    matrix = previews.srgb_matrix(about.space)
+    y = np.nan_to_num(previews.luminance(small.rgb, matrix), nan=0.0)
+    wavelengths = np.asarray(about.wavelengths_nm)
+    emissions = about.emissions()
+    named = {light.cluster: light for light in found.lights} if found else {}
+    shown = []
+    for k, emission in enumerate(emissions):
+        inside = np.flatnonzero((planes["cluster"].ravel() == k) & (planes["scale"].ravel() > 0) & (y.ravel() > 0))
+        if not inside.size:
+            continue
+        order = inside[np.argsort(y.ravel()[inside], kind="stable")]
+        picks = {"brightest pixel": order[-1], "pixel of median brightness": order[len(order) // 2]}
+        lines = [plots.Curve("emission", emission / emission.max(), k, "dotted")]
+        places = []
+        for number, (label, where) in enumerate(picks.items()):
+            row, column = divmod(int(where), y.shape[1])
+            spectrum = _radiance(planes, row, column, emission, wavelengths)
+            lines.append(
+                plots.Curve(label, spectrum / max(spectrum.max(), 1e-300), k, "solid" if not number else "dashed")
+            )
+            places.append(
+                {
+                    "label": label,
+                    "x": column * small.step + small.step // 2,
+                    "y": row * small.step + small.step // 2,
+                    "colour": _patch_colour(small.rgb[row, column], matrix),
+                }
+            )
+        shown.append(
+            {
+                "cluster": k,
+                "type": about.clusters[k].type,
+                "name": named[k].name if k in named else "",
+                "colour": plots.colour_of(k),
+                "places": places,
+                "plot": plots.curves(
+                    wavelengths, lines, name=f"pixels-{k}", ylabel="radiance, peak = 1", legend=False, small=True
+                ),
+            }
+        )
+    return shown
+
+
+def _radiance(
+    planes: Any, row: int, column: int, emission: previews.Floats, wavelengths_nm: previews.Floats
+) -> previews.Floats:
+    """The spectrum of a pixel, by the formula that the uplift file states."""
+    c0, c1, c2, scale = (float(planes[name][row, column]) for name in ("c0", "c1", "c2", "scale"))
+    x = (c0 * wavelengths_nm + c1) * wavelengths_nm + c2
+    return np.asarray(scale * emission * (0.5 + x / (2 * np.sqrt(1 + x * x))))
+
+
+def _patch_colour(rgb: npt.NDArray[Any], matrix: previews.Floats) -> str:
+    """A pixel's colour at a brightness at which it can be told."""
+    peak = float(np.max(rgb @ matrix.T))
+    return previews.css_colour(rgb * (0.9 / peak) if peak > 0 else rgb, matrix)
+
+
+def spectra(output: Path) -> dict[str, Any] | None:
+    """The spectral image: its bands, and three of them as pictures."""
+    path = output / "spectra" / "environment.exr"
+    if not path.is_file():
+        return None
+    header = exr.header(path)
+    bands = {}
+    for name in header.channels:
+        match = re.fullmatch(r"S0\.(\d+),(\d+)nm", name)
+        if match:
+            bands[float(f"{match[1]}.{match[2]}")] = name
+    wavelengths = sorted(bands)
+    asked = dict.fromkeys(min(wavelengths, key=lambda w, near=near: abs(w - near)) for near in (450, 550, 650))
+    small = previews.reduced(path, {bands[w]: "mean" for w in asked}, longest=560)
+    views = []
+    for wavelength in asked:
+        plane = np.asarray(small.planes[bands[wavelength]], np.float32)
+        image = np.repeat(plane[..., np.newaxis], 3, axis=2)
+        gain = previews.exposure(image, np.eye(3))
+        shown = previews.display(image, np.eye(3), gain=gain, missing=small.missing)
+        views.append({"wavelength": wavelength, "picture": previews.jpeg(shown)})
+    height, width = header.size
+    return {
+        "file": "spectra/environment.exr",
+        "bytes": path.stat().st_size,
+        "width": width,
+        "height": height,
+        "first": wavelengths[0],
+        "last": wavelengths[-1],
+        "count": len(wavelengths),
+        "kind": {"f2": "half", "f4": "float"}.get(header.channels[bands[wavelengths[0]]], "unsigned"),
+        "unit": header.attributes.get("unit", "relative"),
+        "layout": header.attributes.get("spectralLayoutVersion"),
+        "example": spectral_exr.channel(wavelengths[0]),
+        "missing": bool(small.missing.any()),
+        "views": views,
+    }
