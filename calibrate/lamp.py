@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from calibrate import CalibrateError
 from calibrate.adapt import CONE_FROM_XYZ
-from calibrate.chart.geometry import image_from_chart, project, signed_area
+from calibrate.chart.geometry import BOX_HEIGHT, BOX_WIDTH, image_from_chart, project, signed_area
 from calibrate.chart.patches import trimmed_mean
 from calibrate.difference import D65_XYZ
 
@@ -140,10 +140,8 @@ def rectangle_from_chart(rectangle: tuple[float, float, float, float], chart_cor
             f"balance.lamp: rectangle {rectangle} in chart coordinates; expected finite x, y, width, height with positive "
             "width and height. Correct `balance.lamp`."
         )
-    chart = project(np.linalg.inv(image_from_chart(chart_corners)), np.asarray(chart_corners, dtype=np.float64))
-    size = chart[2]
-    corners: Points = np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]], dtype=np.float64) * size
-    return project(image_from_chart(chart_corners), corners)
+    corners = np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]], dtype=np.float64)
+    return project(image_from_chart(chart_corners), corners * np.array([BOX_WIDTH, BOX_HEIGHT]))
 
 
 def find_lamp(
