@@ -30,12 +30,9 @@ Plane = npt.NDArray[np.float32]
 _FULL_WELL_E = 50_000.0
 _SENSOR_READ_E = 3.0
 
-# A sample is left out where the other frames expect it this many σ below clipping, or higher: the part of the noise
-# that clipping then cuts off shifts the mean by less than a tenth of σ.
+# A clipped sample cannot tell how far it would have gone; what it and the others together say is then at least 1 less
+# this many σ of the part of the others. See `_weigh`.
 _CLIP_GUARD_SIGMA = 2.0
-# ... unless the other frames together know the pixel this many times worse: cutting costs at most 0.8 σ, leaving the
-# sample out would cost more.
-_CLIP_GUARD_WORTH = 3.0
 
 # A frame's share in the result is measured on about this many photosites.
 _SHARE_SAMPLES = 1 << 16
@@ -163,9 +160,10 @@ def merge_mosaics(
     """Return the radiance that best explains a bracket of mosaics.
 
     Each sample is weighted by its inverse variance under `noise`. A sample at or above the white level weighs exactly
-    nothing. So does a sample of which the *other* frames expect that it would reach the white level: choosing by its
-    own value would keep the low ones and darken the result. The shortest frame that is not clipped is always used. A
-    pixel clipped in every frame is NaN, and counted.
+    nothing. So does a sample that is not clipped by luck only: where the frames together expect it within about one σ
+    of the white level, or above. (Choosing by the sample's own value keeps the low ones: −0.25 σ at the white level;
+    this: −0.06 σ.) The shortest frame that is not clipped is always used. A pixel clipped in every frame is NaN, and
+    counted.
 
     The frames are sorted by exposure first, and no sum runs across threads: the result is bit-identical for any order
     of the frames and any number of threads. Each frame is decoded twice and dropped at once. Peak memory is 18 bytes a
@@ -402,7 +400,13 @@ def _weigh(  # noqa: PLR0917 - numba takes no keywords
     weights: Plane,
     used: npt.NDArray[np.int64],
 ) -> None:  # pragma: no cover - compiled
-    """Pass 2: add the samples by inverse variance; frames come from the shortest to the longest."""
+    """Pass 2: add the samples by inverse variance; frames come from the shortest to the longest.
+
+    Whether a sample s near the white level is used must not depend on s − r, r being what the other frames expect of it:
+    the mean of the result would move by the correlation. Their inverse-variance mean does not correlate with s − r, so it
+    decides. It cannot be formed where s is clipped; with s at the white level it spreads by own·√borrowed/(own + borrowed)
+    around it, so the threshold stands 2 σ of that lower: nearly all that would belong to clipped samples is left out.
+    """
     height, width = raw.shape
     for y in prange(height):
         for x in range(width):
@@ -411,20 +415,19 @@ def _weigh(  # noqa: PLR0917 - numba takes no keywords
             if value >= white[p]:
                 continue
             sample = (value - black[p]) / (white[p] - black[p])
+            radiance = max(first[y, x] / np.float64(squares[y, x]), 0.0)
+            own = radiance * light / electrons[p] + read[p]
             # The shortest usable sample has no weight before it, and is always taken.
             if weights[y, x] > 0:
                 rest_square = squares[y, x] - light * light
-                rest = max((first[y, x] - light * sample) / rest_square, 0.0)
-                expected = rest * light
-                own = expected / electrons[p] + read[p]
+                rest = (first[y, x] - light * sample) / rest_square * light
                 # The longest of the others makes up nearly all of their sum of squares.
                 ratio = light / np.sqrt(rest_square)
-                borrowed = ratio * expected / electrons[p] + ratio * ratio * read[p]
-                near = expected + _CLIP_GUARD_SIGMA * np.sqrt(own + borrowed) >= 1.0
-                if near and borrowed <= _CLIP_GUARD_WORTH * _CLIP_GUARD_WORTH * own:
+                borrowed = ratio * radiance * light / electrons[p] + ratio * ratio * read[p]
+                both = (borrowed * sample + own * rest) / (own + borrowed)
+                if both + _CLIP_GUARD_SIGMA * own * np.sqrt(borrowed) / (own + borrowed) >= 1.0:
                     continue
-            radiance = max(first[y, x] / np.float64(squares[y, x]), 0.0)
-            certainty = light / (radiance * light / electrons[p] + read[p])
+            certainty = light / own
             weighted[y, x] += certainty * sample
             weights[y, x] += certainty * light
             used[y] += 1
