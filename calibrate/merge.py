@@ -417,8 +417,9 @@ def _weigh(  # noqa: PLR0917 - numba takes no keywords
             sample = (value - black[p]) / (white[p] - black[p])
             radiance = max(first[y, x] / np.float64(squares[y, x]), 0.0)
             own = radiance * light / electrons[p] + read[p]
-            # The shortest usable sample has no weight before it, and is always taken.
-            if weights[y, x] > 0:
+            # The shortest usable sample has no weight before it, and is always taken. Far below the white level nothing
+            # is near clipping, and the roots can be spared.
+            if weights[y, x] > 0 and radiance * light > 0.5:
                 rest_square = squares[y, x] - light * light
                 rest = (first[y, x] - light * sample) / rest_square * light
                 # The longest of the others makes up nearly all of their sum of squares.

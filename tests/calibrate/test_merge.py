@@ -148,7 +148,7 @@ def slow_merge(frames: Sequence[Frame], noise: NoiseModel) -> npt.NDArray[np.flo
             above = below = 0.0
             for k, (t, s) in enumerate(seen):
                 own = first * t / well + dark
-                if k > 0:
+                if k > 0 and first * t > 0.5:
                     rest = seen[:k] + seen[k + 1 :]
                     square = sum(u * u for u, _ in rest)
                     told = t * sum(u * v for u, v in rest) / square
