@@ -131,17 +131,15 @@ def _crop(
     if bottom <= top or right <= left:
         return None
     image = previews.crop(path, (left, top, right, bottom), wrap=latlong)
-    longest = max(image.shape[:2])
-    missing = ~np.isfinite(image).all(axis=2)
-    if longest > _CROP_PIXELS:
-        step = -(-longest // _CROP_PIXELS)
-        image, missing = image[::step, ::step], missing[::step, ::step]
-    shown = previews.display(image, matrix, gain=gain)
+    step = -(-max(image.shape[:2]) // _CROP_PIXELS)
+    image = image[::step, ::step]
     times = max(1, _CROP_PIXELS // max(image.shape[:2]))
-    shown, missing = (np.repeat(np.repeat(a, times, axis=0), times, axis=1) for a in (shown, missing))
+    image = image.repeat(times, axis=0).repeat(times, axis=1)
+    missing = previews.missing_in(image)
     return {
-        "picture": previews.jpeg(previews.hatched(shown, missing), quality=88),
+        "picture": previews.jpeg(previews.display(image, matrix, gain=gain, missing=missing), quality=88),
         "missing": bool(missing.any()),
+        "ratio": (right - left) / (bottom - top),
         # pixel (x, y) has its centre at integers, the picture its corner at 0
         "view": f"{left - 0.5:g} {top - 0.5:g} {right - left} {bottom - top}",
         "box": [left, top, right, bottom],

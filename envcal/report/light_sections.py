@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -140,7 +141,7 @@ def _cluster_pictures(output: Path, found: lights_file.Lights) -> dict[str, Any]
     grey = previews.luminance(small.rgb, matrix).astype(np.float32)
     shown = previews.display(np.repeat(grey[..., np.newaxis], 3, axis=2), np.eye(3), gain=gain)
     tint = np.array([_rgb(plots.colour_of(k)) for k in range(int(labels.max()) + 1)])[labels]
-    mixed = np.round(0.55 * shown * (0.35 + 0.65 * tint / 255) + 0.45 * tint).astype(np.uint8)
+    mixed = np.round(0.8 * shown * (0.3 + 0.7 * tint / 255) + 0.2 * tint).astype(np.uint8)
     mixed[_borders(labels)] = 255
     sky = small.planes["sky"] > 0
     weight = np.sin(np.pi * (np.arange(sky.shape[0]) + 0.5) / sky.shape[0])[:, np.newaxis]
@@ -273,7 +274,7 @@ def spectra(output: Path) -> dict[str, Any] | None:
         if match:
             bands[float(f"{match[1]}.{match[2]}")] = name
     wavelengths = sorted(bands)
-    asked = dict.fromkeys(min(wavelengths, key=lambda w, near=near: abs(w - near)) for near in (450, 550, 650))
+    asked = dict.fromkeys(_nearest(wavelengths, near) for near in (450, 550, 650))
     small = previews.reduced(path, {bands[w]: "mean" for w in asked}, longest=560)
     views = []
     for wavelength in asked:
@@ -298,3 +299,7 @@ def spectra(output: Path) -> dict[str, Any] | None:
         "missing": bool(small.missing.any()),
         "views": views,
     }
+
+
+def _nearest(values: Sequence[float], wanted: float) -> float:
+    return min(values, key=lambda value: abs(value - wanted))

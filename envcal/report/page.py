@@ -151,7 +151,10 @@ def _number(value: Any, digits: int = 2) -> str:
 
 
 def _percent(value: Any, digits: int = 1) -> str:
-    return f"{_number(100 * value, digits)} %" if _is_number(value) else "–"
+    if not _is_number(value):
+        return "–"
+    least = 10**-digits
+    return f"< {least:.{digits}f} %" if 0 < 100 * value < least else f"{100 * value:.{digits}f} %".replace("-", "−")
 
 
 def _count(value: Any) -> str:

@@ -21,6 +21,7 @@ DASHES = ("solid", (0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)))
 # Colours that become the page's ink and its muted lines, so that a plot follows light and dark mode.
 _INK, _MUTED = "#010203", "#040506"
 _SIZE_IN = (5.2, 3.1)
+_UV_RATIO = 1.5  # width to height of the chromaticity diagram
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,10 +113,11 @@ def chromaticities(points: Sequence[Point], *, name: str) -> str:
         spread = np.concatenate(
             [locus[(temperatures > 1900) & (temperatures < 12_000)], np.array(known).reshape(-1, 2)]
         )
-        (left, low), (right, high) = spread.min(axis=0) - 0.012, spread.max(axis=0) + 0.012
-        axes.set_xlim(left, right)
-        axes.set_ylim(low, high)
-        axes.set_aspect("equal", adjustable="datalim")
+        middle, reach = (spread.min(axis=0) + spread.max(axis=0)) / 2, np.ptp(spread, axis=0) / 2 + 0.014
+        reach = np.maximum(reach, [reach[1] * _UV_RATIO, reach[0] / _UV_RATIO])
+        axes.set_xlim(middle[0] - reach[0], middle[0] + reach[0])
+        axes.set_ylim(middle[1] - reach[1], middle[1] + reach[1])
+        axes.set_aspect("equal", adjustable="box")
         axes.set_xlabel("u (CIE 1960)")
         axes.set_ylabel("v")
         axes.grid(visible=True, color=_MUTED, alpha=0.25, linewidth=0.5)

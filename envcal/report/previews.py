@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -67,30 +67,35 @@ def reduced(path: Path, ways: Mapping[str, Literal["mean", "centre", "max"]], *,
             if way == "mean":
                 lost |= ~np.isfinite(planes[name])
             small[name].append(_reduce(planes[name], step, way))
-        missing.append(_blocks(np.logical_or, lost, step))
+        missing.append(_blocks(np.logical_or, lost, step, np.bool_))
     joined = {name: np.concatenate(parts) for name, parts in small.items()}
     return Reduced(header, step, joined, np.concatenate(missing))
 
 
 def _reduce(plane: npt.NDArray[Any], step: int, way: str) -> npt.NDArray[Any]:
     if way == "max":
-        return _blocks(np.maximum, plane, step)
+        return _blocks(np.maximum, plane, step, plane.dtype)
     if way == "centre":
         rows, columns = (np.minimum(np.arange(0, n, step) + step // 2, n - 1) for n in plane.shape)
         return plane[np.ix_(rows, columns)]
     finite = np.isfinite(plane)
-    total = _blocks(np.add, np.where(finite, plane, 0).astype(np.float64), step)
-    count = _blocks(np.add, finite.astype(np.int64), step)
+    total = _blocks(np.add, np.where(finite, plane, 0), step, np.float64)
+    count = _blocks(np.add, finite, step, np.int32)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
 
 
-def _blocks(operation: np.ufunc, plane: npt.NDArray[Any], step: int) -> npt.NDArray[Any]:
-    if step == 1:
-        return plane.copy()
-    height, width = plane.shape
-    down = operation.reduceat(plane, np.arange(0, height, step), axis=0)
-    result: npt.NDArray[Any] = operation.reduceat(down, np.arange(0, width, step), axis=1)
-    return result
+def _blocks(operation: np.ufunc, plane: npt.NDArray[Any], step: int, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    """Combine blocks of step × step by an operation to which 0 makes no difference; those at the edges are smaller."""
+    height, width = (-(-n // step) for n in plane.shape)
+    rows = np.zeros((height, plane.shape[1]), dtype)
+    for k in range(step):
+        part = plane[k::step]
+        operation(rows[: len(part)], part, out=rows[: len(part)])
+    out = np.zeros((height, width), dtype)
+    for k in range(step):
+        part = rows[:, k::step]
+        operation(out[:, : part.shape[1]], part, out=out[:, : part.shape[1]])
+    return out
 
 
 def crop(path: Path, box: tuple[int, int, int, int], *, wrap: bool) -> Image:
@@ -174,7 +179,12 @@ def hatched(shown: Shown, missing: npt.NDArray[np.bool_]) -> Shown:
     return out
 
 
-def css_colour(rgb: Sequence[float], matrix: Floats) -> str:
+def missing_in(image: Image) -> npt.NDArray[np.bool_]:
+    """Where a pixel [height, width] of an image has a channel that is not finite."""
+    return np.asarray(~np.isfinite(image).all(axis=2), np.bool_)
+
+
+def css_colour(rgb: npt.ArrayLike, matrix: Floats) -> str:
     """A working RGB colour as `#rrggbb`, clipped to sRGB; 1 is white."""
     linear = matrix @ np.asarray(rgb, np.float64)
     return "#" + "".join(f"{int(v):02x}" for v in np.round(255 * srgb_encoded(np.nan_to_num(linear))))
