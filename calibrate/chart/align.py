@@ -55,6 +55,7 @@ def _aligned_once(
     size = (round((BOX_WIDTH + 2 * _MARGIN) * unit), round((BOX_HEIGHT + 2 * _MARGIN) * unit))
     # Flattened pixel (x, y), integer = centre, shows the chart at ((x + ½)/unit − margin, …).
     chart_from_flat = np.array([[1 / unit, 0, 0.5 / unit - _MARGIN], [0, 1 / unit, 0.5 / unit - _MARGIN], [0, 0, 1]])
+    image, corners, offset = _cropped(image, corners)
     image_from_flat = image_from_chart(corners) @ chart_from_flat
     image_px_per_unit = np.sqrt(abs(signed_area(corners)) / (BOX_WIDTH * BOX_HEIGHT))
     if image_px_per_unit > 1.5 * unit:
@@ -80,7 +81,20 @@ def _aligned_once(
         return None
     flat_from_chart = np.linalg.inv(chart_from_flat)
     moved = project(image_from_flat @ warp.astype(np.float64) @ flat_from_chart, box_corners())
-    return moved if np.isfinite(moved).all() else None
+    return moved + offset if np.isfinite(moved).all() else None
+
+
+def _cropped(
+    image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """The part of the image around the box, the corners in it, and where it was cut out (x, y)."""
+    height, width = image.shape[:2]
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    border = 0.2 * (high - low) + 4
+    x0, y0 = np.clip((low - border).astype(int), 0, [width - 1, height - 1])
+    x1, y1 = np.clip((high + border).astype(int) + 1, [x0 + 1, y0 + 1], [width, height])
+    offset = np.array([x0, y0], dtype=np.float64)
+    return np.ascontiguousarray(image[y0:y1, x0:x1]), corners - offset, offset
 
 
 def _drawing(

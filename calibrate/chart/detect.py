@@ -30,6 +30,11 @@ from calibrate.chart.views import View, angular_extent, view_at, yaw_pitch
 
 # A chart lit by one light fits within 1–4; below this, other attempts can hardly do better.
 _EXCELLENT_SCORE: Final = 4.5
+# A chart that is found, but fits less well (a developed photograph, uneven light), is looked at so many times.
+_ENOUGH_ATTEMPTS: Final = 4
+# Up to this score a box may be a chart's that is off by half a patch, and is worth aligning; a place without a chart
+# scores 25 and more.
+_WORTH_ALIGNING: Final = 22.0
 # What a box that could not be drawn to the patches counts for in the choice, in ΔE.
 _NOT_ALIGNED: Final = 4.0
 # (percentile of the brightest channel that becomes white, sRGB curve?), the likeliest first.
@@ -74,6 +79,10 @@ class _Candidate:
     @property
     def excellent(self) -> bool:
         return self.aligned and self.score <= _EXCELLENT_SCORE
+
+    @property
+    def acceptable(self) -> bool:
+        return self.aligned and self.score <= LARGEST_SCORE
 
     @property
     def rank(self) -> float:
@@ -153,9 +162,13 @@ def _search_picture(image: npt.NDArray[np.float32], reference: ChartReference) -
     sides = [side for side in _LONG_SIDES if side < long_side] + [long_side]
     best: _Candidate | None = None
     for side in sides:
-        for candidate in _attempts(image, reference, side / long_side):
+        # Large pictures are slow; what two smaller sizes at every turn did not show gets one round.
+        rounds = len(_TURNS) if side <= _LONG_SIDES[0] else 1
+        since = 0
+        for candidate in _attempts(image, reference, side / long_side, rounds=rounds):
             best = _better(best, candidate)
-            if best.excellent:
+            since += best.acceptable
+            if best.excellent or since >= _ENOUGH_ATTEMPTS:
                 return best, None
     return best, None
 
@@ -192,11 +205,13 @@ def _closer(
     view = _view_around(on_map, best_view.map_size)
     shown = view.render(environment)
     closest = _aligned_and_judged(shown, _view_points(view, on_map), best.cost, reference)
-    if not closest.excellent:
-        for candidate in _attempts(shown, reference, 1.0, rounds=2):
-            closest = _better(closest, candidate)
-            if closest.excellent:
-                break
+    attempts = () if closest.excellent else _attempts(shown, reference, 1.0, rounds=2)
+    since = 0
+    for candidate in attempts:
+        closest = _better(closest, candidate)
+        since += closest.acceptable
+        if closest.excellent or since >= _ENOUGH_ATTEMPTS:
+            break
     return (closest, view) if closest.rank <= best.rank + _SMALL_LOSS else (best, best_view)
 
 
@@ -205,7 +220,7 @@ def _views(environment: npt.NDArray[np.float32], reference: ChartReference) -> I
     size = environment.shape[:2]
     long_side = max(size)
     for candidate in _attempts(environment, reference, min(1.0, _LONG_SIDES[0] / long_side), exposures=3, rounds=2):
-        if candidate.score <= 2 * LARGEST_SCORE:
+        if candidate.score <= _WORTH_ALIGNING:
             yield _view_around(candidate.corners, size)
     for pitch, count in _VIEW_ROWS:
         for step in range(count):
@@ -308,7 +323,7 @@ def _aligned_and_judged(
     """Return the box drawn to the patches, or as given if that fails or fits worse."""
     score, order = best_order(glance(image, corners), reference)
     given = _Candidate(corners[list(order)], cost, score, aligned=False)
-    if not score <= 2 * LARGEST_SCORE:
+    if not score <= _WORTH_ALIGNING:
         return given
     aligned = align(image, given.corners)
     if aligned is None:

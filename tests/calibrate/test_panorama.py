@@ -17,7 +17,7 @@ def test_any_other_number_of_shots_is_refused(count):
 
 
 def test_a_shot_that_is_not_two_to_one_is_refused_with_its_size():
-    with pytest.raises(CalibrateError, match="15×8 pixels.*twice as wide"):
+    with pytest.raises(CalibrateError, match=r"15×8 pixels.*twice as wide"):
         latlong_from_shots([np.zeros((8, 15, 3), np.float32)])
 
 

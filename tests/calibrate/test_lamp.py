@@ -1,0 +1,223 @@
+import functools
+
+import cv2
+import numpy as np
+import pytest
+
+from calibrate import CalibrateError
+from calibrate.adapt import von_kries_matrix
+from calibrate.chart import ChartReference, chart_reference
+from calibrate.chart.geometry import BOX_HEIGHT, BOX_WIDTH
+from calibrate.correct import apply_matrix, fit_matrix
+from calibrate.lamp import adapted_d65_curve, find_lamp, measure_lamp, rectangle_from_chart
+from tests.calibrate.rendered import emitter_colour, flat_picture, patch_colours
+
+XYZ_FROM_RGB = np.array(
+    [[0.6369580, 0.1446169, 0.1688810], [0.2627002, 0.6779981, 0.0593017], [0.0, 0.0280727, 1.0609851]]
+)
+CORNERS = np.array([[200.0, 120.0], [380.0, 125.0], [378.0, 246.0], [198.0, 240.0]])
+STRIP = (400, 120, 12, 110)
+SQUARE = (90, 300, 24, 24)
+# Noise of 0.003 in camera RGB, averaged over some hundred pixels.
+READING = 0.004
+
+
+@functools.cache
+def room(light="A"):
+    """A corrected picture of the chart in a room lit by `light`, and what an ideal D65 lamp of Y = 1 reads in it."""
+    reference: ChartReference = chart_reference("BabelColor Average")
+    fit = fit_matrix(patch_colours(light), reference, rgb_from_xyz=np.linalg.inv(XYZ_FROM_RGB))
+    image = flat_picture(CORNERS, patch_colours(light), supersampling=2)
+    return apply_matrix(image, fit.matrix), fit.matrix @ emitter_colour("D65", light)
+
+
+def with_lamp(image, rgb, box=STRIP, *, turn=0.0):
+    """A copy with a lamp: softened by a pixel at its edges, as lenses do."""
+    x, y, w, h = box
+    cover = np.zeros(image.shape[:2], np.float32)
+    corners = cv2.boxPoints(((x + (w - 1) / 2, y + (h - 1) / 2), (w, h), turn))
+    cv2.fillConvexPoly(cover, np.round(corners * 16).astype(np.int32), 1.0, shift=4)
+    cover = cv2.GaussianBlur(cover, (0, 0), 0.6)[..., None]
+    return (image * (1 - cover) + cover * np.asarray(rgb, np.float32)).astype(np.float32)
+
+
+def find(image, **settings):
+    return find_lamp(image, chart_corners=CORNERS, xyz_from_rgb=XYZ_FROM_RGB, **settings)
+
+
+def centre(box):
+    return np.array([box[0] + (box[2] - 1) / 2, box[1] + (box[3] - 1) / 2])
+
+
+@pytest.mark.parametrize("light", ["A", "LED-B3", "FL2", "D50", "D65", "D75"])
+@pytest.mark.parametrize("box", [STRIP, SQUARE], ids=["strip", "square"])
+def test_the_module_is_found_and_read_under_warm_and_cool_light(light, box):
+    image, rgb = room(light)
+    lamp = find(with_lamp(image, 2.5 * rgb, box))
+    np.testing.assert_allclose(lamp.polygon.mean(axis=0), centre(box), atol=1.5)
+    np.testing.assert_allclose(lamp.rgb, 2.5 * rgb, rtol=READING)
+    assert lamp.clipped == 0
+    assert lamp.pixels > 60
+    assert lamp.runner_up < 0.5 * lamp.score
+
+
+@pytest.mark.parametrize("brightness", [1.3, 6.0, 60.0])
+def test_its_brightness_does_not_matter(brightness):
+    image, rgb = room()
+    lamp = find(with_lamp(image, brightness * rgb))
+    np.testing.assert_allclose(lamp.rgb, brightness * rgb, rtol=READING)
+
+
+@pytest.mark.parametrize("turn", [20.0, 45.0, 80.0])
+def test_a_tilted_strip_is_as_good(turn):
+    image, rgb = room()
+    lamp = find(with_lamp(image, 3 * rgb, (470, 130, 14, 100), turn=turn))
+    np.testing.assert_allclose(lamp.rgb, 3 * rgb, rtol=READING)
+
+
+def test_turning_the_picture_turns_the_answer():
+    image, rgb = room()
+    upright = find(with_lamp(image, 3 * rgb))
+    height, width = image.shape[:2]
+    turned = find_lamp(
+        np.rot90(with_lamp(image, 3 * rgb), 2),
+        chart_corners=np.array([width - 1, height - 1]) - CORNERS,
+        xyz_from_rgb=XYZ_FROM_RGB,
+    )
+    np.testing.assert_allclose(turned.rgb, upright.rgb, rtol=1e-6)
+
+
+def test_a_brighter_lamp_of_the_rooms_own_light_is_not_taken_for_it():
+    image, rgb = room("A")
+    with_globe = with_lamp(image, np.full(3, 40.0), (560, 40, 30, 30))
+    lamp = find(with_lamp(with_globe, 2.5 * rgb))
+    np.testing.assert_allclose(lamp.rgb, 2.5 * rgb, rtol=READING)
+
+
+def test_a_room_without_the_module_is_refused_with_the_remedy():
+    with pytest.raises(CalibrateError, match=r"no region looks like a D65 module.*`balance\.lamp` to a rectangle"):
+        find(room()[0])
+
+
+@pytest.mark.parametrize("colour", [[6.0, 0.6, 0.5], [0.5, 5.0, 0.6]], ids=["red", "green"])
+def test_a_lamp_that_cannot_be_d65_is_refused(colour):
+    with pytest.raises(CalibrateError, match="no region looks like"):
+        find(with_lamp(room()[0], colour))
+
+
+def test_a_clipped_module_is_refused_with_the_remedy():
+    image, rgb = room()
+    image = with_lamp(image, 3 * rgb)
+    x, y, w, h = STRIP
+    image[y : y + h, x : x + w] = np.nan
+    with pytest.raises(CalibrateError, match=r"looks like the lamp.*clipped in 9\d%.*shorter exposure"):
+        find(image)
+
+
+def test_a_module_marked_as_clipped_in_half_is_refused_and_in_a_tenth_warned_about():
+    image, rgb = room()
+    image = with_lamp(image, 3 * rgb)
+    clipped = np.zeros(image.shape[:2], np.bool_)
+    x, y, w, h = STRIP
+    clipped[y : y + h // 2, x : x + w] = True
+    with pytest.raises(CalibrateError, match=r"clipped in \d+%.*shorter exposure"):
+        find(image, clipped=clipped)
+    clipped[y + h // 10 :] = False
+    lamp = find(image, clipped=clipped)
+    np.testing.assert_allclose(lamp.rgb, 3 * rgb, rtol=READING)
+    assert lamp.clipped > 0
+    assert any("clipped pixels" in warning for warning in lamp.warnings)
+
+
+def test_two_modules_are_told_of():
+    image, rgb = room()
+    both = with_lamp(with_lamp(image, 3 * rgb), 3 * rgb, (160, 120, 12, 110))
+    lamp = find(both)
+    assert lamp.runner_up > 0.5 * lamp.score
+    assert any("another region" in warning for warning in lamp.warnings)
+
+
+def test_the_seam_of_a_map_does_not_hide_the_module():
+    image, rgb = room()
+    image = with_lamp(image, 3 * rgb)
+    shift = image.shape[1] - round(centre(STRIP)[0])
+    rolled = np.roll(image, shift, axis=1)
+    lamp = find_lamp(rolled, chart_corners=CORNERS + np.array([shift, 0]), xyz_from_rgb=XYZ_FROM_RGB, latlong=True)
+    np.testing.assert_allclose(lamp.rgb, 3 * rgb, rtol=READING)
+    np.testing.assert_allclose(lamp.polygon.mean(axis=0), centre(STRIP) + np.array([shift, 0]), atol=1.5)
+
+
+def test_the_balanced_module_reads_one():
+    image, rgb = room("A")
+    image = with_lamp(image, 2.5 * rgb)
+    lamp = find(image)
+    balanced = apply_matrix(image, von_kries_matrix(lamp.rgb, np.ones(3), xyz_from_rgb=XYZ_FROM_RGB))
+    x, y, w, h = STRIP
+    assert balanced[y + 3 : y + h - 3, x + 3 : x + w - 3].mean(axis=(0, 1)) == pytest.approx(np.ones(3), abs=0.003)
+
+
+def test_a_named_rectangle_reads_exactly_its_pixels():
+    image = np.random.default_rng(2).uniform(0.7, 1.3, (50, 60, 3)).astype(np.float32)
+    lamp = measure_lamp(image, rectangle=(10, 20, 8, 9), xyz_from_rgb=XYZ_FROM_RGB)
+    assert lamp.pixels == 72
+    np.testing.assert_allclose(lamp.rgb, image[20:29, 10:18].mean(axis=(0, 1)), rtol=1e-6)
+    assert np.isnan(lamp.score)
+    assert any("not of one colour" in warning for warning in lamp.warnings)
+
+
+def test_few_pixels_are_warned_about_and_too_few_refused():
+    image = np.ones((50, 60, 3), np.float32)
+    lamp = measure_lamp(image, rectangle=(10, 20, 5, 6), xyz_from_rgb=XYZ_FROM_RGB)
+    assert any("only 30 pixels" in warning for warning in lamp.warnings)
+    with pytest.raises(CalibrateError, match=r"covers 2 usable pixels.*Enlarge"):
+        measure_lamp(image, rectangle=(10, 20, 2, 1), xyz_from_rgb=XYZ_FROM_RGB)
+
+
+def test_a_named_area_that_cannot_be_read_is_refused():
+    image = np.ones((50, 60, 3), np.float32)
+    with pytest.raises(CalibrateError, match=r"does not lie inside the image of 60×50"):
+        measure_lamp(image, rectangle=(55, 20, 8, 9), xyz_from_rgb=XYZ_FROM_RGB)
+    with pytest.raises(CalibrateError, match="either a polygon or a rectangle"):
+        measure_lamp(image, xyz_from_rgb=XYZ_FROM_RGB)
+    with pytest.raises(CalibrateError, match="which is no light"):
+        measure_lamp(0 * image, rectangle=(5, 5, 9, 9), xyz_from_rgb=XYZ_FROM_RGB)
+    image[5:10, 5:14] = np.nan
+    with pytest.raises(CalibrateError, match=r"clipped in 45 of 81 pixels.*leaves the clipped part out"):
+        measure_lamp(image, rectangle=(5, 5, 9, 9), xyz_from_rgb=XYZ_FROM_RGB)
+
+
+def test_a_rectangle_of_the_whole_chart_is_the_chart():
+    np.testing.assert_allclose(rectangle_from_chart((0, 0, 1, 1), CORNERS), CORNERS, atol=1e-3)
+    square_on = np.array([[0, 0], [BOX_WIDTH, 0], [BOX_WIDTH, BOX_HEIGHT], [0, BOX_HEIGHT]]) * 10.0
+    strip = rectangle_from_chart((1.1, 0.0, 0.1, 0.5), square_on)
+    np.testing.assert_allclose(strip.min(axis=0), [1.1 * BOX_WIDTH * 10, 0], atol=1e-3)
+    np.testing.assert_allclose(strip.max(axis=0), [1.2 * BOX_WIDTH * 10, 0.5 * BOX_HEIGHT * 10], atol=1e-3)
+    with pytest.raises(CalibrateError, match="positive width and height"):
+        rectangle_from_chart((0, 0, -1, 1), CORNERS)
+
+
+def test_the_module_in_chart_coordinates_reads_the_same():
+    image, rgb = room()
+    image = with_lamp(image, 3 * rgb)
+    lamp = measure_lamp(image, rectangle_from_chart((1.13, 0.1, 0.025, 0.7), CORNERS), xyz_from_rgb=XYZ_FROM_RGB)
+    np.testing.assert_allclose(lamp.rgb, 3 * rgb, rtol=READING)
+
+
+def test_the_curve_of_adapted_d65_passes_through_d65_and_turns_blue_under_warm_light():
+    curve = adapted_d65_curve()
+    d65 = np.array([0.19783, 0.46834])  # u'v' of D65, CIE 15
+    assert np.hypot(*(curve - d65).T).min() < 0.003
+    warmest, coolest = curve[-1], curve[0]
+    assert warmest[1] < d65[1] - 0.1
+    assert coolest[1] > d65[1]
+
+
+def test_the_curve_is_what_adapting_planckian_light_gives():
+    import colour
+
+    for kelvin in (1900, 2856, 3900):
+        light = colour.xy_to_XYZ(colour.temperature.CCT_to_xy_Kang2002(kelvin))
+        d65 = colour.xy_to_XYZ([0.3127, 0.3290])
+        seen = colour.chromatic_adaptation(d65, light, d65, method="Von Kries", transform="CAT16")
+        uv = colour.xy_to_Luv_uv(colour.XYZ_to_xy(seen))
+        assert np.hypot(*(adapted_d65_curve() - uv).T).min() < 0.006
