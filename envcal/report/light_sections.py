@@ -17,9 +17,12 @@ from envcal.provenance import CAMERA_RGB
 from envcal.report import plots, previews
 
 LONGEST_MAP = 1600
+#: What is near a light's brightest region, in heights of the map.
+_NEAR = 0.02
 #: Below this a light's spectrum is a guess that a person should look at.
 LOW_CONFIDENCE = 0.5
 _STATUS = ("exact", "black", "fallback", "closest", "missing")
+_FIRST_NOTABLE = 2
 _STATUS_COLOURS = ("#4a4a4a", "#000000", "#0072b2", "#e69f00", "#ff00c8")
 _STATUS_MEANING = (
     "the pixel's colour, under its light",
@@ -142,7 +145,8 @@ def _cluster_pictures(output: Path, found: lights_file.Lights) -> dict[str, Any]
     shown = previews.display(np.repeat(grey[..., np.newaxis], 3, axis=2), np.eye(3), gain=gain)
     tint = np.array([_rgb(plots.colour_of(k)) for k in range(int(labels.max()) + 1)])[labels]
     mixed = np.round(0.8 * shown * (0.3 + 0.7 * tint / 255) + 0.2 * tint).astype(np.uint8)
-    mixed[_borders(labels)] = 255
+    border = _borders(labels)
+    mixed[border] = mixed[border] // 2 + 110
     sky = small.planes["sky"] > 0
     weight = np.sin(np.pi * (np.arange(sky.shape[0]) + 0.5) / sky.shape[0])[:, np.newaxis]
     pictures: dict[str, Any] = {
@@ -178,11 +182,11 @@ def uplift(output: Path, figures: dict[str, Any], found: lights_file.Lights | No
     header, about = uplift_file.read_about(path)
     height, width = header.size
     status = None
-    small = None
+    present: set[int] = set()
     if "status" in header.channels:
         small = previews.reduced(path, {"status": "max"}, longest=LONGEST_MAP // 2).planes["status"]
-        others = [k for k in range(2, len(_STATUS)) if (small == k).any()]
-        if others:
+        present = {int(k) for k in np.unique(small)}
+        if max(present) >= _FIRST_NOTABLE:
             colours = np.array([_rgb(colour) for colour in _STATUS_COLOURS], np.uint8)
             status = previews.png(colours[np.minimum(small, len(_STATUS) - 1)])
     counts = figures.get("status", {})
@@ -191,8 +195,8 @@ def uplift(output: Path, figures: dict[str, Any], found: lights_file.Lights | No
         "height": height,
         "about": about,
         "status": [
-            {"name": name, "meaning": meaning, "colour": colour, "count": counts.get(name)}
-            for name, meaning, colour in zip(_STATUS, _STATUS_MEANING, _STATUS_COLOURS, strict=True)
+            {"name": name, "meaning": meaning, "colour": colour, "count": counts.get(name), "on_map": k in present}
+            for k, (name, meaning, colour) in enumerate(zip(_STATUS, _STATUS_MEANING, _STATUS_COLOURS, strict=True))
         ],
         "map": status,
         "pixels": _pixel_spectra(path, about, found),
@@ -200,7 +204,7 @@ def uplift(output: Path, figures: dict[str, Any], found: lights_file.Lights | No
 
 
 def _pixel_spectra(path: Path, about: uplift_file.About, found: lights_file.Lights | None) -> list[dict[str, Any]]:
-    """For each light: its emission, and the spectra of its brightest pixel and of one of median brightness."""
+    """For each light: its emission, and the spectra of a pixel where it is brightest and of one of median brightness."""
     names = ["c0", "c1", "c2", "scale", "cluster", "R", "G", "B"]
     small = previews.reduced(path, dict.fromkeys(names, "centre"), longest=LONGEST_MAP // 2)
     planes = small.planes
@@ -215,11 +219,15 @@ def _pixel_spectra(path: Path, about: uplift_file.About, found: lights_file.Ligh
         if not inside.size:
             continue
         order = inside[np.argsort(y.ravel()[inside], kind="stable")]
-        picks = {"brightest pixel": order[-1], "pixel of median brightness": order[len(order) // 2]}
+        light = named.get(k)
+        picks = {
+            "brightest region": _near(order, y.shape, light.at) if light else int(order[-1]),
+            "median brightness": int(order[len(order) // 2]),
+        }
         lines = [plots.Curve("emission", emission / emission.max(), k, "dotted")]
         places = []
         for number, (label, where) in enumerate(picks.items()):
-            row, column = divmod(int(where), y.shape[1])
+            row, column = divmod(where, y.shape[1])
             spectrum = _radiance(planes, row, column, emission, wavelengths)
             lines.append(
                 plots.Curve(label, spectrum / max(spectrum.max(), 1e-300), k, "solid" if not number else "dashed")
@@ -234,9 +242,9 @@ def _pixel_spectra(path: Path, about: uplift_file.About, found: lights_file.Ligh
             )
         shown.append(
             {
-                "cluster": k,
-                "type": about.clusters[k].type,
-                "name": named[k].name if k in named else "",
+                "title": f"{k} {light.name or light.type}"
+                if light
+                else "D65, for colours that their own light cannot show",
                 "colour": plots.colour_of(k),
                 "places": places,
                 "plot": plots.curves(
@@ -245,6 +253,15 @@ def _pixel_spectra(path: Path, about: uplift_file.About, found: lights_file.Ligh
             }
         )
     return shown
+
+
+def _near(order: npt.NDArray[np.int64], shape: tuple[int, ...], at: tuple[float, float]) -> int:
+    """The brightest pixel near a place (u, v) among pixels in the `order` of their brightness."""
+    rows, columns = np.divmod(order, shape[1])
+    across = np.abs((columns + 0.5) / shape[1] - at[0])
+    distance = np.hypot(2 * np.minimum(across, 1 - across), (rows + 0.5) / shape[0] - at[1])
+    near = order[distance <= max(_NEAR, float(distance.min()))]
+    return int(near[-1])
 
 
 def _radiance(

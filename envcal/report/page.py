@@ -129,7 +129,9 @@ def _render(**values: Any) -> str:
 
     # Names of files, lamps and shots come from strangers: everything is escaped but our own plots.
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters.update(num=_number, percent=_percent, seconds=_seconds, size=_size, count=_count, svg=Markup)
+    environment.filters.update(
+        num=_number, percent=_percent, seconds=_seconds, size=_size, count=_count, basename=_basename, svg=Markup
+    )
     text = environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(sections=SECTIONS, **values)
     return text.encode("utf-8", "replace").decode("utf-8")
 
@@ -159,6 +161,11 @@ def _percent(value: Any, digits: int = 1) -> str:
 
 def _count(value: Any) -> str:
     return f"{value:,}".replace(",", " ") if _is_number(value) else "–"
+
+
+def _basename(name: str) -> str:
+    """The last part of a path of any system: where the frames stand is nobody's business."""
+    return name.replace("\\", "/").rsplit("/", 1)[-1]
 
 
 def _seconds(value: Any) -> str:

@@ -401,7 +401,9 @@ def test_the_same_run_gives_the_same_bytes(run: tuple[Path, dict[str, Any], str]
 def test_names_of_strangers_cannot_become_markup(tmp_path: Path) -> None:
     records = finished_run(tmp_path, names=(HOSTILE, '"><img src=x onerror=alert(1)> $\\frac$ ランプ'))
     records["cluster"]["warnings"] = [HOSTILE, "{{ 7 * 7 }}"]
-    records["merge"]["figures"]["shots"]["reference"]["frames"][0]["name"] = HOSTILE
+    records["merge"]["figures"]["shots"]["reference"]["frames"][0]["name"] = (
+        "/home/somebody/shots/<img src=x onerror=alert(1)>"
+    )
     records["merge"]["figures"]["shots"]["reference"]["camera"]["model"] = "</style><script>alert(1)</script>"
     records["merge"]["outputs"][f"../{HOSTILE}"] = HOSTILE
     records["merge"]["settings"] = {"working_space": HOSTILE}
@@ -413,6 +415,7 @@ def test_names_of_strangers_cannot_become_markup(tmp_path: Path) -> None:
     assert all(not name.startswith("on") for _, attributes in outline.elements for name in attributes)
     assert outline.words.count("alert(1)") >= 7
     assert "{{ 7 * 7 }}" in outline.words
+    assert "somebody" not in page
 
 
 def test_missing_pixels_are_hatched_and_explained(run: tuple[Path, dict[str, Any], str], tmp_path: Path) -> None:
