@@ -43,7 +43,9 @@ PLACE_RADIUS = 1.0 / 360.0  # of the width: what "at (u, v)" takes in
 SURE_SPECTRUM, SURE_TYPE_AND_CCT, SURE_TYPE = 1.0, 0.95, 0.9
 SURE_OUTDOOR, SURE_INDOOR_SETTING, SURE_UNKNOWN = 0.8, 0.7, 0.3
 BY_SURFACES, OFF_LOCUS, OUT_OF_REACH = 0.7, 0.5, 0.7
-# Relative error of the CCT that the evidence has besides its spread: 90 % of relit rooms were within these.
+# Relative error of the CCT besides the spread of its evidence. Direct: over 90 lamps in relit rooms the median was 0.2 %,
+# 80 % were within 1.1 % and 90 % within 4.6 % (windows that mirror another lamp). Outdoors: 2.3 % at most in three skies.
+# Surfaces: up to 15 % where they are coloured at random.
 CCT_ERROR_DIRECT, CCT_ERROR_SURFACES, CCT_ERROR_OUTDOOR = 0.02, 0.10, 0.05
 
 

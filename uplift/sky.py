@@ -8,7 +8,7 @@ their colour covariances, is kept; three rules then say whether it borders a sky
 Made for lat-long HDR maps by: a tone map that does not depend on the map's scale; gradients that wrap around in x;
 statistics weighted by solid angle; the horizon (the sky of an upright map ends at v = 0.5; a border is looked for down
 to v = 0.56, for cameras on a hill or a little tilted, and a threshold that meets no edge by then in a tenth of the
-columns sees no border at all); one more rule of presence, as the ceiling of a room is as smooth as a sky but ends far
+columns sees no border at all; the others of these end at the horizon); one more rule of presence, as the ceiling of a room is as smooth as a sky but ends far
 above the horizon; and the sun, whose rim ends the sky for the paper, and is put back here.
 
 Left out: skies that nowhere come near the horizon (seen through windows, over a narrow yard, between trees) are not
@@ -31,9 +31,11 @@ Image = npt.NDArray[np.float32]
 WORK_WIDTH = 640
 THRESHOLDS = np.arange(5.0, 601.0, 5.0)
 GAMMA = 2.0  # how much more the sky's uniformity counts than the ground's (the paper's γ)
+HORIZON = 0.5  # of the height
 LOWEST = 0.56  # of the height: 10 degrees below the horizon
 MAX_OPEN_COLUMNS = 0.1  # share of columns without an edge above LOWEST
 NEAR_HORIZON, MIN_NEAR = 0.4, 0.25  # share of columns whose sky reaches below v = 0.4. Rooms: ≤ 0.07, skies: ≥ 0.64
+GLARE_STEP = 8  # levels of 255: so much brighter is what ends the sky, if it is a part of it
 GLARE_WIDTH = 1 / 8  # of the width: the widest gap that the sun or a cloud may cut into the sky
 MIN_MEAN_BORDER = 1 / 30  # of the height (paper)
 LOW_BORDER, JAGGED_ROWS = 1 / 4, 5.0  # a border above H/4 on average must be smooth (paper)
@@ -170,7 +172,9 @@ def _border(small: npt.NDArray[np.uint8]) -> npt.NDArray[np.int64] | None:
     borders: dict[bytes, npt.NDArray[np.int64]] = {}
     for threshold in THRESHOLDS:
         rows = np.count_nonzero(greatest <= threshold, axis=0)
-        if rows.any() and (rows >= lowest).mean() <= MAX_OPEN_COLUMNS:
+        unmet = rows >= lowest
+        if rows.any() and unmet.mean() <= MAX_OPEN_COLUMNS:
+            rows = np.where(unmet, round(HORIZON * height), rows)
             borders[rows.tobytes()] = rows
     if not borders:
         return None
@@ -197,7 +201,10 @@ def _is_sky(border: npt.NDArray[np.int64], height: int) -> bool:
 def _without_false_columns(
     small: npt.NDArray[np.uint8], sums: _Sums, border: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.int64]:
-    """Keep of two halves of the sky (k-means) the one farther from the ground; drop columns mostly of the other."""
+    """Keep of two halves of the sky (k-means) the one farther from the ground; drop columns mostly of the other.
+
+    Unlike the paper's, unless that other half is more like the first one than like the ground.
+    """
     above = np.arange(len(small))[:, np.newaxis] < border
     colours = small[above].astype(np.float64)
     weight = np.broadcast_to(_row_weight(len(small))[:, np.newaxis], above.shape)[above]
@@ -206,7 +213,10 @@ def _without_false_columns(
     inverse = np.linalg.pinv(spread + np.eye(3))
     offsets = [half - ground for half in halves]
     true = int(offsets[1] @ inverse @ offsets[1] > offsets[0] @ inverse @ offsets[0])
-    nearer = ((colours - halves[true]) ** 2).sum(axis=1) <= ((colours - halves[1 - true]) ** 2).sum(axis=1)
+    false = halves[1 - true]
+    if ((false - halves[true]) ** 2).sum() < ((false - ground) ** 2).sum():
+        return border  # both halves are sky: blue and cloud, zenith and horizon
+    nearer = ((colours - halves[true]) ** 2).sum(axis=1) <= ((colours - false) ** 2).sum(axis=1)
     kept = np.zeros(above.shape)
     kept[above] = nearer
     return np.where(2 * kept.sum(axis=0) >= border, border, 0)
@@ -243,8 +253,11 @@ def _with_the_sun(small: npt.NDArray[np.uint8], border: npt.NDArray[np.int64]) -
     # within 30 degrees of the zenith a small cloud spans many columns
     reach, wide = max(1, round(GLARE_WIDTH * width / 2)), max(1, width // 4)
     lowered = np.where(border < height / 6, closed(wide), closed(reach))
-    grey = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.int64)
+    grey = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)
+    nearby = cv2.dilate(np.pad(grey, ((0, 0), (2, 2)), mode="wrap"), np.ones((5, 5), np.uint8))[:, 2:-2].astype(
+        np.int64
+    )
     columns = np.arange(width)
-    before = grey[np.maximum(border - 2, 0), columns]
-    after = grey[np.minimum(border + 2, height - 1), columns]
-    return np.where(after > before, lowered, border)
+    before = nearby[np.maximum(border - 4, 0), columns]
+    after = nearby[np.minimum(border + 1, height - 1), columns]
+    return np.where(after > before + GLARE_STEP, lowered, border)

@@ -90,6 +90,6 @@ def cluster_angles(
         centres = grow_like_the_paper(found, view.sky, matrix, k_max)
     else:
         found = lamps_or_surfaces(view)
-        centres = choose(found, view.sky, matrix, k_max)
+        centres = choose(found, view, matrix, k_max)
     features = angles if evidence == "bright" else directions
     return described(image, view, found, centres, features=features, xyz_from_rgb=matrix)

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uplift.cct import cct_duv, mired, uv_of_xy, xy_of_rgb
-from uplift.cluster.evidence import Evidence, greatest_nearby
+from uplift.cluster.evidence import Evidence, View, daylight, greatest_nearby
 from uplift.cluster.kmeans import angles, directions, histogram, kmeans_up_to, squared
 
 Floats = npt.NDArray[np.float64]
@@ -14,7 +14,7 @@ Bools = npt.NDArray[np.bool_]
 
 MIN_SHARE = 0.03  # of the evidence's light, for a cluster to be one
 MIN_SHARE_SURFACES = 0.20
-MIN_SHARE_UNDER_SKY = 0.10  # of lamps seen under an open sky, where glitter on water is as bright as a lamp
+MIN_SHARE_UNDER_SKY = 0.10  # of all light, for lamps under an open sky, where glitter on water is as bright as a lamp
 SKY_MARGIN = 4.0 / 360.0  # of the width: how far beyond the sky's border the sun's glare is still the sky's
 ALIKE_MIRED = 25.0  # closer than this (and than ALIKE_DUV across the locus) two clusters are one lamp's light
 ALIKE_MIRED_SURFACES = 60.0
@@ -71,21 +71,18 @@ def weighted_median(values: Floats, weight: Floats) -> float:
     return float(values[order][np.searchsorted(total, total[-1] / 2)])
 
 
-def choose(found: Evidence, in_sky: Bools | None, xyz_from_rgb: Floats, k_max: int) -> Floats:
+def choose(found: Evidence, view: View, xyz_from_rgb: Floats, k_max: int) -> Floats:
     """Centres [k, 3] of the default method: as many lamps as differ clearly, the sky's light counting as one."""
     outdoors: list[Floats] = []
     keep = np.ones(len(found.place), np.bool_)
-    if in_sky is not None:
-        margin = round(SKY_MARGIN * in_sky.shape[1])
-        above = greatest_nearby(in_sky.astype(np.float64), margin).ravel()[found.place] > 0
-        # Without the sun in view nothing outdoors is a lamp; with it, sun and sky are one outdoor light. Surfaces
-        # under an open sky speak for no other lamp.
+    if view.sky is not None:
+        # Sun and sky are one outdoor light, and surfaces under an open sky speak for no other lamp.
+        outdoors = [daylight(view)[np.newaxis]]
+        margin = round(SKY_MARGIN * view.sky.shape[1])
+        above = greatest_nearby(view.sky.astype(np.float64), margin).ravel()[found.place] > 0
         keep = ~above if found.direct else np.zeros_like(above)
-        if found.weight[keep].sum() < MIN_SHARE_UNDER_SKY * found.weight.sum():
+        if found.weight[keep].sum() < MIN_SHARE_UNDER_SKY * view.light.sum():
             keep[:] = False
-        rest = ~keep
-        if rest.any():
-            outdoors = [lamp_colours(found, np.where(rest, 0, 1), 2)[:1]]
     room = k_max - len(outdoors)
     if not keep.any() or room < 1:
         return directions(np.vstack(outdoors))

@@ -86,11 +86,13 @@ def described(
     light = view.light[lit]
     share = np.bincount(nearest, light, len(centres)) / light.sum()
     order = np.argsort(-share, kind="stable")
-    order = order[share[order] > 0]
+    if share[order[-1]] <= 0:  # a centre that no pixel of the map is nearest to is no cluster
+        centres = centres[order[share[order] > 0]]
+        return described(image, view, found, centres, features=features, xyz_from_rgb=xyz_from_rgb)
     centres, share = centres[order], share[order]
     height, width = view.rgb.shape[:2]
     label = np.full((height, width), -1)
-    label[lit] = np.argmin(squared(features(view.rgb[lit]), centres), axis=1)
+    label[lit] = np.argsort(order)[nearest]
     speaks = label.ravel()[found.place]
     smooth = cv2.blur(view.luminance, (3, 3), borderType=cv2.BORDER_REPLICATE)
 

@@ -1,0 +1,219 @@
+"""How many lamps a map shows, which pixels they light, and that nothing but the map decides it."""
+
+import numpy as np
+import pytest
+
+from tests.uplift.relit import OBSERVER, SPACE, emission_rgb, open_air, room
+from uplift import UpliftError
+from uplift.cct import cct_duv, xy_of_rgb
+from uplift.cluster import cluster_angles
+from uplift.illuminants import cct_duv_of
+from uplift.sky import find_sky
+from uplift.spectrum import illuminant
+
+SAME_CCT = 0.005  # lamps in view are read off; the rest is float32 and what lies beside them in a pixel
+WHITE_GUESS = 0.25  # surfaces of random colours are on average no white
+
+
+def clusters_of(image, **settings):
+    return cluster_angles(image, luminance_weights=SPACE.luminance_weights, xyz_from_rgb=SPACE.xyz_from_rgb, **settings)
+
+
+def ccts(clusters):
+    return np.sort(cct_duv(xy_of_rgb(clusters.lamps, SPACE.xyz_from_rgb))[0])
+
+
+def true_ccts(lamps):
+    return np.sort([cct_duv_of(illuminant(name, OBSERVER), OBSERVER)[0] for name in lamps])
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(
+    "lamps",
+    [
+        ["LED-B3"],
+        ["A"],
+        ["FL11"],
+        ["LED-B3", "A"],
+        ["LED-B4", "A"],
+        ["D65", "LED-B1"],
+        ["D65", "FL2"],
+        ["D65", "LED-B3", "HP1"],
+    ],
+)
+def test_as_many_clusters_as_lamps_in_view_each_of_its_cct(lamps, seed):
+    clusters = clusters_of(room(lamps, seed=seed))
+    assert clusters.count == len(lamps)
+    assert clusters.direct.all()
+    np.testing.assert_allclose(ccts(clusters), true_ccts(lamps), rtol=SAME_CCT)
+
+
+def test_lamps_too_alike_to_be_told_apart_are_one():
+    assert clusters_of(room(["LED-B1", "A"])).count == 1  # 16 mired
+
+
+def test_a_coloured_wall_beside_a_lamp_is_no_lamp():
+    image = room(["LED-B3"])
+    image[20:44, 40:90] = 3.0 * emission_rgb("LED-B3") * np.array([0.9, 0.4, 0.1])
+    clusters = clusters_of(image)
+    assert clusters.count == 1
+    np.testing.assert_allclose(ccts(clusters), true_ccts(["LED-B3"]), rtol=SAME_CCT)
+
+
+def test_without_a_lamp_in_view_the_brightest_surfaces_speak():
+    one = clusters_of(room(["A"], in_view=False, height=128))
+    assert one.count == 1
+    assert not one.direct.any()
+    np.testing.assert_allclose(ccts(one), true_ccts(["A"]), rtol=WHITE_GUESS)
+    two = clusters_of(room(["D65", "A"], in_view=False, height=128))
+    assert two.count == 2
+    np.testing.assert_allclose(ccts(two), true_ccts(["D65", "A"]), rtol=WHITE_GUESS)
+
+
+def test_a_lamp_lights_what_is_nearest_to_its_colour():
+    image = room(["D65", "A"])
+    clusters = clusters_of(image)
+    cool = int(np.argmax(cct_duv(xy_of_rgb(clusters.lamps, SPACE.xyz_from_rgb))[0]))
+    white = image.copy()
+    white[32:] = emission_rgb("D65")
+    white[48:] = emission_rgb("A")
+    labels = clusters_of(white).labels
+    assert (labels[32:48] == labels[33, 0]).all()
+    assert (labels[48:] == labels[50, 0]).all()
+    assert labels[33, 0] != labels[50, 0]
+    assert clusters.labels[16, 17] == cool  # the lamp itself
+
+
+def test_labels_are_the_nearest_lamp_of_a_slow_loop():
+    image = room(["D65", "A", "LED-B3"], height=32)
+    clusters = clusters_of(image)
+    # any pixel on a lamp's own colour is that lamp's; others by the angle to the centre, which is the lamps' here
+    centres = clusters.lamps / np.linalg.norm(clusters.lamps, axis=1, keepdims=True)
+    wrong = 0
+    for y in range(32):
+        for x in range(64):
+            wrong += int(np.argmax(centres @ image[y, x].astype(float))) != clusters.labels[y, x]
+    assert wrong <= 0.01 * 32 * 64  # the centre is a mean of unit vectors, `lamps` one of colours
+
+
+def test_two_runs_are_alike_to_the_last_bit():
+    image = room(["D65", "A"])
+    first, second = clusters_of(image), clusters_of(image)
+    np.testing.assert_array_equal(first.labels, second.labels)
+    np.testing.assert_array_equal(first.lamps, second.lamps)
+
+
+@pytest.mark.parametrize("evidence", ["lamps", "bright"])
+@pytest.mark.parametrize("scale", [2.0**-20, 2.0**12])
+def test_the_scale_of_the_map_changes_nothing(evidence, scale):
+    image = room(["D65", "A"])
+    first, second = clusters_of(image, evidence=evidence), clusters_of(np.float32(scale) * image, evidence=evidence)
+    np.testing.assert_array_equal(first.labels, second.labels)
+    np.testing.assert_allclose(second.lamps, scale * first.lamps, rtol=1e-9)
+    np.testing.assert_allclose(first.share, second.share, rtol=1e-9)
+
+
+def test_turning_the_map_turns_the_labels():
+    image = room(["D65", "A"])
+    turned = clusters_of(np.roll(image, 40, axis=1))
+    first = clusters_of(image)
+    np.testing.assert_array_equal(turned.labels, np.roll(first.labels, 40, axis=1))
+    np.testing.assert_allclose(turned.lamps, first.lamps, rtol=1e-6)
+
+
+def test_shares_are_ordered_and_add_up_and_places_hold_their_lamp():
+    clusters = clusters_of(room(["D65", "A", "LED-B3"]))
+    assert clusters.share.sum() == pytest.approx(1.0)
+    assert (np.diff(clusters.share) <= 0).all()
+    for one in range(clusters.count):
+        u, v = clusters.at[one]
+        assert clusters.labels[int(v * 64), int(u * 128)] == one
+
+
+def test_a_large_map_has_the_clusters_of_its_small_copy():
+    small = room(["D65", "A"], height=64)
+    large = small.repeat(16, 0).repeat(16, 1)
+    np.testing.assert_allclose(ccts(clusters_of(large)), ccts(clusters_of(small)), rtol=SAME_CCT)
+    assert clusters_of(large).labels.shape == (1024, 2048)
+
+
+def test_missing_black_and_negative_pixels_are_cluster_zero_and_change_no_lamp():
+    image = room(["D65", "A"])
+    spoilt = image.copy()
+    spoilt[60, 3] = np.nan
+    spoilt[60, 4] = [np.inf, 1.0, 1.0]
+    spoilt[60, 5] = 0.0
+    spoilt[60, 6] = -1.0
+    spoilt[60, 7] = [-0.5, 0.2, 0.2]
+    clusters = clusters_of(spoilt)
+    assert (clusters.labels[60, 3:7] == 0).all()
+    assert np.isfinite(clusters.means).all()
+    np.testing.assert_allclose(ccts(clusters), true_ccts(["D65", "A"]), rtol=SAME_CCT)
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan, -1.0])
+def test_a_map_without_light_is_one_cluster_with_a_warning(value):
+    clusters = clusters_of(np.full((8, 16, 3), value, np.float32))
+    assert clusters.count == 1
+    assert not clusters.labels.any()
+    assert "no light" in clusters.warnings[0]
+
+
+@pytest.mark.parametrize("evidence", ["lamps", "bright"])
+@pytest.mark.parametrize("shape", [(1, 1, 3), (2, 4, 3), (32, 64, 3)])
+def test_a_constant_map_is_one_cluster(shape, evidence):
+    clusters = clusters_of(np.full(shape, 0.3, np.float32), evidence=evidence)
+    assert clusters.count == 1
+    np.testing.assert_allclose(clusters.means, 0.3, rtol=1e-6)
+    np.testing.assert_allclose(ccts(clusters), true_ccts(["D65"]), rtol=1e-6)
+
+
+def test_one_outdoor_cluster_under_an_open_sky_whose_light_is_sky_and_sun():
+    image = open_air(height=128)
+    sky = find_sky(image, SPACE.luminance_weights)
+    clusters = clusters_of(image, sky=sky)
+    assert clusters.count == 1
+    assert clusters.outdoor.tolist() == [True]
+    cosine = np.cos(np.pi * (np.arange(64) + 0.5) / 128) * np.sin(np.pi * (np.arange(64) + 0.5) / 128)
+    level = (image[:64] * cosine[:, np.newaxis, np.newaxis]).sum(axis=(0, 1))
+    np.testing.assert_allclose(clusters.lamps[0] / clusters.lamps[0].sum(), level / level.sum(), rtol=0.01)
+
+
+def test_a_street_lamp_at_dusk_is_a_second_cluster_and_not_outdoors():
+    image = open_air(height=128, sun=False)
+    image[76:84, 100:108] = 300.0 * emission_rgb("HP1")
+    clusters = clusters_of(image, sky=find_sky(image, SPACE.luminance_weights))
+    assert clusters.count == 2
+    assert clusters.outdoor.sum() == 1
+    np.testing.assert_allclose(ccts(clusters)[0], true_ccts(["HP1"])[0], rtol=SAME_CCT)
+
+
+def test_the_papers_method_has_at_most_six_clusters_none_alike_and_one_outdoors():
+    clusters = clusters_of(room(["D65", "A"], in_view=False), evidence="bright")
+    assert 1 <= clusters.count <= 6
+    image = open_air(height=128)
+    assert clusters_of(image, sky=find_sky(image, SPACE.luminance_weights), evidence="bright").outdoor.sum() == 1
+
+
+def test_k_max_bounds_the_count():
+    assert clusters_of(room(["D65", "A", "LED-B3"]), k_max=2).count <= 2
+    assert clusters_of(room(["D65", "A", "LED-B3"]), k_max=1).count == 1
+
+
+def test_mistakes_are_refused():
+    image = room(["A"])
+    with pytest.raises(UpliftError, match=r"expected \[H, W, 3\]"):
+        clusters_of(image[..., 0])
+    with pytest.raises(UpliftError, match="k_max 0"):
+        clusters_of(image, k_max=0)
+    with pytest.raises(UpliftError, match="evidence 'dark'"):
+        clusters_of(image, evidence="dark")
+    with pytest.raises(UpliftError, match="sky mask of shape"):
+        clusters_of(image, sky=find_sky(open_air(height=32), SPACE.luminance_weights))
+
+
+def test_the_map_is_not_changed():
+    image = room(["D65", "A"])
+    before = image.copy()
+    clusters_of(image)
+    np.testing.assert_array_equal(image, before)

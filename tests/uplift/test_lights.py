@@ -1,0 +1,209 @@
+"""From clusters to lights: types, temperatures, declarations, and what is refused."""
+
+import numpy as np
+import pytest
+
+from tests.uplift.relit import OBSERVER, SPACE, emission_rgb, open_air, room
+from uplift import UpliftError
+from uplift.cluster import cluster_angles
+from uplift.illuminants import cct_duv_of, family_emission
+from uplift.lights import Declared, lights_of
+from uplift.sky import find_sky
+from uplift.spectrum import illuminant
+
+LAMP_CCT = 0.005  # of a lamp in view; see test_cluster
+A_AT, D65_AT = (0.63, 0.26), (0.13, 0.26)  # where `room(["D65", "A"])` shows its lamps
+
+
+def found(image, **settings):
+    sky = find_sky(image, SPACE.luminance_weights)
+    clusters = cluster_angles(
+        image, luminance_weights=SPACE.luminance_weights, xyz_from_rgb=SPACE.xyz_from_rgb, sky=sky
+    )
+    return lights_of(image, clusters, observer=OBSERVER, space=SPACE, **settings)
+
+
+def warm(lights):
+    return min(lights, key=lambda light: light.cct_seen)
+
+
+def cool(lights):
+    return max(lights, key=lambda light: light.cct_seen)
+
+
+def test_an_undeclared_indoor_light_is_unknown_smooth_and_says_what_would_help():
+    lights = found(room(["D65", "A"]))
+    assert lights.warnings == ()
+    assert [light.cluster for light in lights] == [0, 1]
+    assert len(lights) == 2
+    assert lights[1] is lights.lights[1]
+    for light in lights:
+        assert light.type == "smooth"
+        assert not light.declared
+        assert light.confidence < 0.5
+        assert "type" in light.remedy
+        np.testing.assert_allclose(light.emission, family_emission("smooth", light.cct, OBSERVER), rtol=1e-6)
+    assert warm(lights).cct == pytest.approx(2855.5, rel=LAMP_CCT)
+    assert cool(lights).cct == pytest.approx(6503.0, rel=LAMP_CCT)
+
+
+@pytest.mark.parametrize("indoor", ["led", "incandescent", "fluorescent"])
+def test_a_setting_for_indoor_lights_gives_their_family_at_the_cct_seen(indoor):
+    light = found(room(["LED-B2"]), indoor=indoor)[0]
+    assert light.type == indoor
+    assert light.cct == pytest.approx(2999.0, rel=LAMP_CCT)
+    assert light.confidence > 0.5
+
+
+def test_a_furnace_of_d65_is_lit_by_exactly_d65():
+    image = np.full((32, 64, 3), 0.7, np.float32)
+    np.testing.assert_array_equal(found(image)[0].emission, illuminant("D65", OBSERVER))
+
+
+def test_outdoors_is_daylight_from_5000_kelvin_and_a_low_sun_below():
+    day = found(open_air(height=128))[0]
+    assert day.type == "daylight"
+    assert day.outdoor
+    low = found(open_air(height=128, sky="FL8", sun_lamp="HP2"), indoor="led")[0]
+    assert low.type == "sunset"
+    assert low.outdoor
+
+
+def test_the_papers_estimator_is_mccamy_of_the_mean():
+    from uplift.cct import mccamy, xy_of_rgb
+
+    image = room(["A"])
+    light = found(image, estimator="paper")[0]
+    theta = np.pi * (np.arange(64) + 0.5) / 64
+    mean = (image * np.sin(theta)[:, np.newaxis, np.newaxis]).sum(axis=(0, 1))
+    assert light.cct_seen == pytest.approx(float(mccamy(xy_of_rgb(mean, SPACE.xyz_from_rgb))), rel=1e-3)
+
+
+def test_the_papers_outdoor_estimate_is_the_mean_of_two():
+    from uplift.cct import mccamy, xy_of_rgb
+
+    image = open_air(height=128)
+    light = found(image, estimator="paper")[0]
+    theta = np.pi * (np.arange(128) + 0.5) / 128
+    colours = [(image * np.sin(theta)[:, np.newaxis, np.newaxis]).sum(axis=(0, 1)), emission_rgb("D50")]
+    both = [float(mccamy(xy_of_rgb(colour, SPACE.xyz_from_rgb))) for colour in colours]
+    assert light.cct_seen == pytest.approx(np.mean(both), rel=1e-3)
+
+
+def test_a_measured_cct_beyond_a_family_is_clamped_with_a_warning():
+    lights = found(room(["HP1"]), indoor="fluorescent")
+    assert lights[0].cct == pytest.approx(2940.0, abs=0.1)
+    assert lights[0].cct_seen == pytest.approx(1962.0, rel=LAMP_CCT)
+    assert len(lights.warnings) == 1
+    assert "beyond fluorescent (2940 to 6425 K)" in lights.warnings[0]
+
+
+def test_a_coloured_light_gets_a_warning_and_still_a_spectrum():
+    lights = found(np.full((16, 32, 3), [0.0, 1.0, 0.0], np.float32))
+    assert "Give its measured spectrum" in lights.warnings[0]
+    assert np.isfinite(lights[0].emission).all()
+    assert np.isfinite(lights[0].cct)
+
+
+def test_a_black_map_is_lit_by_d65_without_any_confidence():
+    lights = found(np.zeros((8, 16, 3), np.float32))
+    assert lights[0].confidence == 0.0
+    assert lights[0].cct == pytest.approx(6503.0, abs=0.1)
+    assert "no light" in lights.warnings[0]
+
+
+# ---- declared ----
+
+
+def test_a_declared_type_and_cct_apply_to_the_cluster_at_the_place_only():
+    lights = found(room(["D65", "A"]), declared=[Declared(at=A_AT, type="incandescent", cct=2700.0)])
+    assert warm(lights).type == "incandescent"
+    assert warm(lights).cct == pytest.approx(2700.0, abs=0.01)
+    assert warm(lights).cct_seen == pytest.approx(2855.5, rel=LAMP_CCT)
+    assert warm(lights).declared
+    assert warm(lights).remedy == ""
+    assert not cool(lights).declared
+
+
+def test_a_declared_type_alone_takes_the_cct_seen():
+    light = warm(found(room(["D65", "A"]), declared=[Declared(at=A_AT, type="led")]))
+    assert light.type == "led"
+    assert light.cct == pytest.approx(2855.5, rel=LAMP_CCT)
+
+
+def test_a_declared_cct_alone_is_used_with_an_unknown_type():
+    light = warm(found(room(["D65", "A"]), declared=[Declared(at=A_AT, cct=2600.0)]))
+    assert (light.type, light.declared) == ("smooth", True)
+    assert light.cct == pytest.approx(2600.0, abs=0.01)
+    assert light.remedy != ""
+
+
+@pytest.mark.parametrize(("name", "kind"), [("FL11", "fluorescent"), ("LED-V2", "led"), ("HP1", "discharge")])
+def test_a_lamp_is_declared_by_its_cie_name(name, kind):
+    light = cool(found(room(["D65", "A"]), declared=[Declared(at=D65_AT, type=name)]))
+    assert light.type == kind
+    np.testing.assert_array_equal(light.emission, illuminant(name, OBSERVER))
+
+
+def test_a_declared_spectrum_is_the_lights_own():
+    emission = 5.0 * illuminant("FL3.15", OBSERVER)
+    light = cool(found(room(["D65", "A"]), declared=[Declared(at=D65_AT, emission=emission, name="tube")]))
+    assert (light.type, light.name, light.confidence) == ("measured", "tube", 1.0)
+    np.testing.assert_allclose(light.emission, illuminant("FL3.15", OBSERVER), rtol=1e-12)
+    assert light.cct == pytest.approx(cct_duv_of(emission, OBSERVER)[0])
+
+
+def test_a_place_at_the_edge_of_the_map_is_on_it():
+    for at in ((0.0, 0.0), (1.0, 1.0)):
+        assert sum(light.declared for light in found(room(["D65", "A"]), declared=[Declared(at=at, type="led")])) == 1
+
+
+def test_two_declarations_of_one_cluster_are_told():
+    lights = found(room(["A"]), declared=[Declared(at=A_AT, type="led"), Declared(at=(0.2, 0.6), type="FL11")])
+    assert lights[0].type == "led"
+    assert "same cluster (0)" in lights.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("declared", "message"),
+    [
+        (Declared(at=(1.2, 0.5), type="led"), "expected u and v from 0 to 1"),
+        (Declared(at=(float("nan"), 0.5), type="led"), "expected u and v from 0 to 1"),
+        (Declared(at=A_AT), "says nothing"),
+        (Declared(at=A_AT, type="neon"), "'neon' is unknown"),
+        (Declared(at=A_AT, type="measured"), "without a spectrum"),
+        (Declared(at=A_AT, type="FL11", cct=4000.0), "a cct of its own"),
+        (Declared(at=A_AT, type="incandescent", cct=6500.0), "expected 1000 to 4000 K for incandescent"),
+        (Declared(at=A_AT, cct=900.0), "for a light of unknown type"),
+        (Declared(at=A_AT, type="led", emission=np.ones(81)), "a spectrum says it all"),
+        (Declared(at=A_AT, emission=np.ones(80)), "resample it first"),
+        (Declared(at=A_AT, emission=-np.ones(81)), "negative or not finite"),
+    ],
+)
+def test_a_wrong_declaration_is_refused(declared, message):
+    with pytest.raises(UpliftError, match=message):
+        found(room(["D65", "A"]), declared=[declared])
+
+
+def test_all_mistakes_come_at_once_with_the_names_of_their_lights():
+    with pytest.raises(UpliftError) as error:
+        found(room(["A"]), indoor="leds", declared=[Declared(at=A_AT, name="desk"), Declared(at=A_AT, type="neon")])
+    assert "indoor: 'leds'" in str(error.value)
+    assert "declared light 1 (desk)" in str(error.value)
+    assert "declared light 2" in str(error.value)
+
+
+def test_a_place_in_the_dark_is_refused():
+    image = room(["A"])
+    image[:, :16] = 0.0
+    with pytest.raises(UpliftError, match="black or empty"):
+        found(image, declared=[Declared(at=(0.05, 0.5), type="led")])
+
+
+def test_an_unknown_estimator_and_another_maps_clusters_are_refused():
+    image = room(["A"])
+    with pytest.raises(UpliftError, match="estimator"):
+        found(image, estimator="mccamy")
+    clusters = cluster_angles(image, luminance_weights=SPACE.luminance_weights, xyz_from_rgb=SPACE.xyz_from_rgb)
+    with pytest.raises(UpliftError, match="expected those of the same map"):
+        lights_of(image[:-1], clusters, observer=OBSERVER, space=SPACE)
