@@ -14,21 +14,11 @@ from samples.capture import (
     write_capture,
 )
 from samples.chart_view import ChartView, chart_view
-from samples.scene import (
-    THREE_LAMPS,
-    TWO_LAMPS,
-    Chart,
-    Furnace,
-    Lamp,
-    LatLong,
-    Module,
-    Pinhole,
-    Room,
-    View,
-    look,
-)
+from samples.places import THREE_LAMPS, TWO_LAMPS, Chart, Furnace, Lamp, Module, Room
+from samples.projection import LatLong, Pinhole
 from samples.sensor import Camera, expose
 from samples.truth import Truth, truth_of, write_truth
+from samples.view import View, look
 
 __all__ = [
     "THREE_LAMPS", "TWO_LAMPS", "Camera", "Capture", "CaptureSettings", "Chart", "ChartView", "Frame",

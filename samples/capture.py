@@ -15,9 +15,11 @@ from pathlib import Path
 
 from samples import spectra
 from samples.dng import encode_dng
-from samples.scene import Furnace, LatLong, Pinhole, Room, View, look
+from samples.places import Furnace, Room
+from samples.projection import LatLong, Pinhole
 from samples.sensor import Camera, Counts, Float64, expose
 from samples.truth import Truth, truth_of
+from samples.view import View, look
 
 
 def bracket(longest_s: Fraction, frames: int, *, step_ev: int = 2) -> tuple[Fraction, ...]:
@@ -74,7 +76,7 @@ class Capture:
 
 @lru_cache(maxsize=4)
 def make_capture(settings: CaptureSettings | None = None) -> Capture:
-    """Return the bracket of `settings`; equal settings give the same bits. Cached: do not write into it."""
+    """Return the bracket of `settings`; equal settings give the same bits. Cached, so its arrays are read-only."""
     settings = settings or CaptureSettings()
     view = look(settings.place, settings.projection, sub=settings.sub)
     rgb = view.response(settings.camera.responses)
@@ -87,6 +89,9 @@ def make_capture(settings: CaptureSettings | None = None) -> Capture:
         )
         for index, exposure_s in enumerate(settings.exposures_s)
     )
+    rgb.setflags(write=False)
+    for frame in frames:
+        frame.mosaic.setflags(write=False)
     return Capture(settings, frames, rgb, view)
 
 

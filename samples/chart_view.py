@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from samples.scene import Chart, Furnace, Module, Pinhole, Room, View, look
+from samples.places import Chart, Furnace, Module, Room
+from samples.projection import Pinhole
 from samples.sensor import Camera
+from samples.view import View, look
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]

@@ -31,7 +31,7 @@ class _Entry(NamedTuple):
     values: Sequence[int]
 
     @property
-    def count(self) -> int:
+    def number(self) -> int:
         return len(self.values) // (2 if self.kind in (_RATIONAL, _SRATIONAL) else 1)
 
     @property
@@ -61,7 +61,7 @@ def _directory(entries: Sequence[_Entry], start: int) -> bytes:
             tail += data + b"\0" * (len(data) % 2)
         else:
             place = data.ljust(4, b"\0")
-        table += struct.pack("<HHI", entry.tag, entry.kind, entry.count) + place
+        table += struct.pack("<HHI", entry.tag, entry.kind, entry.number) + place
     return table + struct.pack("<I", 0) + tail
 
 
@@ -74,8 +74,7 @@ def lossless_jpeg(counts: Counts, bits: int) -> bytes:
     import imagecodecs
 
     height, width = counts.shape
-    coded: bytes = imagecodecs.ljpeg_encode(counts.reshape(height // 2, 2 * width), bitspersample=bits)
-    return coded
+    return bytes(imagecodecs.ljpeg_encode(counts.reshape(height // 2, 2 * width), bitspersample=bits))
 
 
 def encode_dng(

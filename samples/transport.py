@@ -1,3 +1,4 @@
+# ruff: noqa: PLR0912, PLR0917 - kernels take their scalars one by one: numba has no keyword-only arguments
 """Light in a place made of boxes and spheres: ray casting, soft direct light, gathered indirect light.
 
 Every surface is Lambertian, every lamp a uniform Lambertian emitter, so light transport splits into geometry
@@ -12,19 +13,24 @@ no cost). Method:
   rows of that mean sum to one, so a closed place of albedo ρ gains exactly 1 + ρ + ρ² + …
   Between nodes irradiance is interpolated bilinearly.
 
-Left out: gloss, transparency, light of the D65 module on the scene (0.02 sr·cm² scale: under 0.1 % of the
-lamps'), contact shadows of indirect light finer than the nodes.
+Left out: gloss, transparency, the light that the D65 module casts on the scene (a ten-thousandth of the
+lamps' flux), contact shadows of indirect light finer than the nodes.
 
-All functions are numba kernels without reductions across threads: results do not depend on their number.
+The kernels work on rows that do not depend on each other, in threads (numba's own parallel loops take three
+times as long to compile): results do not depend on the number of threads.
 """
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import njit
 
 Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
@@ -36,7 +42,17 @@ PANEL, GLOBE, SURROUND = 0, 1, 2
 PATCH_M = 0.040
 GAP_M = 0.004
 
+WORKERS = os.cpu_count() or 1
+
 _OFF = 1e-6  # metres: shadow and gather rays start this far above their surface
+
+
+def in_parts(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
+    """Run `kernel(first, last, *arguments)` over 0…count in parts, one a thread."""
+    edges = [count * k // WORKERS for k in range(WORKERS + 1)]
+    with ThreadPoolExecutor(WORKERS) as pool:
+        for part in [pool.submit(kernel, a, b, *arguments) for a, b in pairwise(edges)]:
+            part.result()
 
 
 class Geometry(NamedTuple):
@@ -288,9 +304,9 @@ def _box_nodes(g: Any, i: int, face: int, u: float, v: float, p: int, r: int, no
         weights[p, r, k] = (a if right else 1.0 - a) * (b if down else 1.0 - b)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def hit(
-    g: Geometry, origins: Float64, directions: Float64, materials: npt.NDArray[np.int16],
+    first: int, last: int, g: Geometry, origins: Float64, directions: Float64, materials: npt.NDArray[np.int16],
     places: Float64, normals: Float64, nodes: npt.NDArray[np.int16], weights: npt.NDArray[np.float32],
 ) -> None:  # fmt: skip
     """Follow `directions`, shape (P, R, 3), from `origins`, shape (P, 3), and fill what each meets.
@@ -299,7 +315,7 @@ def hit(
     (P, R, 4) of the indirect light. A ray that meets nothing sees emitter 0, the surround.
     """
     count = g.boxes.shape[0]
-    for p in prange(directions.shape[0]):
+    for p in range(first, last):
         ox, oy, oz = origins[p, 0], origins[p, 1], origins[p, 2]
         for r in range(directions.shape[1]):
             dx, dy, dz = directions[p, r, 0], directions[p, r, 1], directions[p, r, 2]
@@ -337,16 +353,16 @@ def hit(
             materials[p, r] = material
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def shine(
-    g: Geometry, materials: npt.NDArray[np.int16], places: Float64, normals: Float64, shifts: Float64,
+    first: int, last: int, g: Geometry, materials: npt.NDArray[np.int16], places: Float64, normals: Float64, shifts: Float64,
     points: int, light: npt.NDArray[np.float32],
 ) -> None:  # fmt: skip
     """Fill `light` (P, R, L): irradiance per radiance of each lamp at `places` with `normals`, (P, R, 3).
 
     `shifts` (R, 2) in 0…1 moves ray r's grid of points² places on the lamps. Emitters receive nothing.
     """
-    for p in prange(places.shape[0]):
+    for p in range(first, last):
         found = np.empty(g.boxes.shape[0] + g.spheres.shape[0], np.int64)
         for r in range(places.shape[1]):
             for i in range(g.lamps.shape[0]):
@@ -360,26 +376,31 @@ def shine(
                     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def bounce(
-    cells: npt.NDArray[np.int16], materials: npt.NDArray[np.int16], reflectances: Float64, before: Float64,
-    after: Float64,
+    first: int, last: int, cells: npt.NDArray[np.int16], materials: npt.NDArray[np.int16],
+    shares: Float64, before: Float64, after: Float64,
 ) -> None:  # fmt: skip
-    """Fill `after` (N, L, W) with the mean of ρ·E over the hits of each node, E being `before` (N, L, W)."""
-    for n in prange(cells.shape[0]):
-        after[n] = 0.0
-        for q in range(cells.shape[1]):
+    """Fill `after` (N, L, W) with the mean of ρ·E over the hits of each node, E being `before` (N, L, W).
+
+    `shares` (M, W) is ρ over the number of hits.
+    """
+    rays, lamps, bands = cells.shape[1], before.shape[1], before.shape[2]
+    for n in range(first, last):
+        for lamp in range(lamps):
+            for w in range(bands):
+                after[n, lamp, w] = 0.0
+        for q in range(rays):
             material = materials[n, q]
             if material >= 0:
-                for lamp in range(before.shape[1]):
-                    for w in range(before.shape[2]):
-                        after[n, lamp, w] += reflectances[material, w] * before[cells[n, q], lamp, w]
-        after[n] /= cells.shape[1]
+                for lamp in range(lamps):
+                    for w in range(bands):
+                        after[n, lamp, w] += shares[material, w] * before[cells[n, q], lamp, w]
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def respond(
-    materials: npt.NDArray[np.int16], light: npt.NDArray[np.float32], nodes: npt.NDArray[np.int16],
+    first: int, last: int, materials: npt.NDArray[np.int16], light: npt.NDArray[np.float32], nodes: npt.NDArray[np.int16],
     weights: npt.NDArray[np.float32], emitted: Float64, direct: Float64, indirect: Float64, out: Float64,
 ) -> None:  # fmt: skip
     """Fill `out` (P, K) with the mean over a pixel's rays of K linear responses to radiance.
@@ -388,7 +409,7 @@ def respond(
     radiance, `indirect` (M, N, K) for a material at a node.
     """
     rays, lamps, responses = materials.shape[1], light.shape[2], out.shape[1]
-    for p in prange(materials.shape[0]):
+    for p in range(first, last):
         for k in range(responses):
             total = 0.0
             for s in range(rays):

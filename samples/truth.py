@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from samples import spectra
-from samples.scene import View
 from samples.sensor import Camera
+from samples.view import View
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
