@@ -197,7 +197,7 @@ def merge_mosaics(
     if not (noise.gain_e_per_dn > 0 and noise.read_noise_e > 0):
         raise CalibrateError(
             f"merge: noise model with gain {noise.gain_e_per_dn:g} e-/DN and read noise {noise.read_noise_e:g} e-; "
-            "both must be above 0. Leave `merge.noise` out to have it guessed."
+            "both must be above 0. Leave `merge.gain_e_per_dn` and `merge.read_noise_e` out to have them guessed."
         )
     scales = [_scale(f, noise, lowest.iso or 100.0) for f in infos]
     shape = infos[0].height, infos[0].width

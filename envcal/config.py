@@ -86,6 +86,8 @@ class MergeSettings(Settings):
     """Electrons per raw count. Left out: guessed from bit depth and ISO; it only ranks the weights of the frames."""
     read_noise_e: Annotated[float, Field(gt=0, le=1000)] | None = None
     """Read noise in electrons. Left out: 3."""
+    mixed_iso: bool = False
+    """Let the frames of a bracket differ in ISO; radiance is then in units of the lowest."""
     defects: bool = True
     """Replace hot and dead photosites by their neighbours of the same colour."""
 

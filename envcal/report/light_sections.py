@@ -221,7 +221,7 @@ def _pixel_spectra(path: Path, about: uplift_file.About, found: lights_file.Ligh
         order = inside[np.argsort(y.ravel()[inside], kind="stable")]
         light = named.get(k)
         picks = {
-            "brightest region": _near(order, y.shape, light.at) if light else int(order[-1]),
+            "brightest region": _near(order, y, light.at) if light else int(order[-1]),
             "median brightness": int(order[len(order) // 2]),
         }
         lines = [plots.Curve("emission", emission / emission.max(), k, "dotted")]
@@ -255,13 +255,18 @@ def _pixel_spectra(path: Path, about: uplift_file.About, found: lights_file.Ligh
     return shown
 
 
-def _near(order: npt.NDArray[np.int64], shape: tuple[int, ...], at: tuple[float, float]) -> int:
-    """The brightest pixel near a place (u, v) among pixels in the `order` of their brightness."""
-    rows, columns = np.divmod(order, shape[1])
-    across = np.abs((columns + 0.5) / shape[1] - at[0])
-    distance = np.hypot(2 * np.minimum(across, 1 - across), (rows + 0.5) / shape[0] - at[1])
+def _near(order: npt.NDArray[np.int64], y: npt.NDArray[np.float64], at: tuple[float, float]) -> int:
+    """A pixel that stands for the bright ones near a place (u, v), among pixels in the `order` of their luminance `y`.
+
+    It is the median of those at least half as bright as the brightest: edges ring, the middle of a lamp does not.
+    """
+    height, width = y.shape
+    rows, columns = np.divmod(order, width)
+    across = np.abs((columns + 0.5) / width - at[0])
+    distance = np.hypot(2 * np.minimum(across, 1 - across), (rows + 0.5) / height - at[1])
     near = order[distance <= max(_NEAR, float(distance.min()))]
-    return int(near[-1])
+    bright = near[y.ravel()[near] >= y.ravel()[near[-1]] / 2]
+    return int(bright[len(bright) // 2])
 
 
 def _radiance(

@@ -27,7 +27,7 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
     if settings.gain_e_per_dn is not None or settings.read_noise_e is not None:
         guess = guess_noise(raws[0].info)
         noise = NoiseModel(settings.gain_e_per_dn or guess.gain_e_per_dn, settings.read_noise_e or guess.read_noise_e)
-    merged = merge_mosaics(raws, noise=noise, defects=settings.defects, progress=progress)
+    merged = merge_mosaics(raws, noise=noise, defects=settings.defects, mixed_iso=settings.mixed_iso, progress=progress)
     image = demosaic(merged.mosaic, merged.cfa)
     lost = lost_pixels(image)
     info = raws[0].info

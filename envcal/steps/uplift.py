@@ -100,15 +100,17 @@ def _solver(
     lights: Lights, settings: UpliftSettings, seen: Observer, space: RGBSpace
 ) -> tuple[Callable[[Image, npt.NDArray[np.uint32]], Uplifted], list[Emission]]:
     """The function that solves a tile, and the emissions that its result counts by index."""
-    from uplift.pixels import uplift_pixels
-    from uplift.scaled import uplift_scaled
     from uplift.spectrum import illuminant
-    from uplift.table import build_table
 
     d65 = [float(v) for v in illuminant("D65", seen)]
     if settings.method == "scaled":
+        from uplift.scaled import uplift_scaled
+
         only = Emission(type="daylight", cct=None, duv=None, source="D65 for every pixel", confidence=1.0, emission=d65)
         return (lambda rgb, _labels: uplift_scaled(rgb, observer=seen, space=space)), [only]
+    from uplift.pixels import uplift_pixels
+    from uplift.table import build_table
+
     tables = [
         build_table(light.emission, observer=seen, space=space, nodes=settings.nodes, factor=settings.brightness)
         for light in lights.lights
