@@ -55,7 +55,7 @@ def delta_e_2000(
     return out.reshape(a.shape[:-1])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _cielab(relative_from_rgb, r, g, b):  # type: ignore[no-untyped-def]
     """Return L*, a*, b* (CIE 015:2018, section 8.2.1) of a colour relative to white."""
     f0 = _compressed(relative_from_rgb[0, 0] * r + relative_from_rgb[0, 1] * g + relative_from_rgb[0, 2] * b)
@@ -64,15 +64,15 @@ def _cielab(relative_from_rgb, r, g, b):  # type: ignore[no-untyped-def]
     return 116.0 * f1 - 16.0, 500.0 * (f0 - f1), 200.0 * (f1 - f2)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _compressed(x):  # type: ignore[no-untyped-def]
     if x > 216.0 / 24389.0:
         return np.cbrt(x)
     return (24389.0 / 27.0 * x + 16.0) / 116.0
 
 
-@njit(cache=True)
-def _ciede2000(L1, a1, b1, L2, a2, b2):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy")
+def _ciede2000(L1, a1, b1, L2, a2, b2):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     """Sharma, Wu and Dalal (2005), equations 2 to 22, all weights one; angles in degrees."""
     mean_C = (np.hypot(a1, b1) + np.hypot(a2, b2)) / 2.0
     ratio = mean_C**7 / (mean_C**7 + 25.0**7)
@@ -108,7 +108,7 @@ def _ciede2000(L1, a1, b1, L2, a2, b2):  # type: ignore[no-untyped-def]
     return np.sqrt(max(0.0, l * l + c * c + h * h + R_T * c * h))
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, error_model="numpy", parallel=True)
 def _differences(rgb_a, rgb_b, relative_from_rgb, white, out):  # type: ignore[no-untyped-def]
     for p in prange(out.size):
         r, g, b = float(rgb_a[p, 0]), float(rgb_a[p, 1]), float(rgb_a[p, 2])

@@ -123,20 +123,31 @@ def uplift_pixels(rgb: npt.NDArray[np.floating], cluster: npt.NDArray[np.integer
         emission,
         status,
     )
+    emissions = np.stack([table.emission for table in every])
+    return recorded(rgb, coefficients, scale, emission, status, emissions, observer=first.observer, space=first.space)
+
+
+def recorded(  # noqa: PLR0917
+    rgb: npt.NDArray[np.floating],
+    coefficients: Float64,
+    scale: Float64,
+    emission: npt.NDArray[np.uint32],
+    status: npt.NDArray[np.uint8],
+    emissions: Float64,
+    *,
+    observer: Observer,
+    space: RGBSpace,
+) -> Uplifted:
+    """Return the record of an uplift of `rgb`: counts each status, measures what was moved, words the warnings."""
     found = np.bincount(status.ravel(), minlength=len(Status))
     counts = {kind: int(found[kind]) for kind in Status}
-    emissions = np.stack([table.emission for table in every])
-    largest_shift = 0.0
+    shift = 0.0
     if counts[Status.CLOSEST]:
         moved = status == Status.CLOSEST
-        shown = rgb_of(
-            coefficients[moved], scale[moved], emission[moved], emissions, observer=first.observer, space=first.space
-        )
-        asked = np.asarray(rgb[moved], dtype=np.float64)
-        largest_shift = float(delta_e_2000(asked, shown, first.space).max())
-    return Uplifted(
-        coefficients, scale, emission, status, emissions, counts, largest_shift, _warnings(counts, largest_shift)
-    )
+        shown = rgb_of(coefficients[moved], scale[moved], emission[moved], emissions, observer=observer, space=space)
+        shift = float(delta_e_2000(np.asarray(rgb[moved], dtype=np.float64), shown, space).max())
+    warnings = _warnings(counts, shift)
+    return Uplifted(coefficients, scale, emission, status, emissions, counts, shift, warnings)
 
 
 def _check(rgb: npt.NDArray[np.floating], cluster: npt.NDArray[np.integer], tables: Sequence[Table]) -> None:
@@ -185,10 +196,11 @@ def _warnings(counts: dict[Status, int], largest_shift: float) -> tuple[str, ...
 # Compiled code sees plain integers.
 EXACT, BLACK, FALLBACK, CLOSEST, MISSING = (int(kind) for kind in Status)
 
+_DARKEST = 1e-4  # of the table's level: colours that need a darker R lie on the border of what the light can show
 _AIM = 2e-15  # residual relative to an R of one: a few roundings of the sum
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _look_up(nodes, solved, G0, G1, G2):  # type: ignore[no-untyped-def]
     """Return (c0, c1, c2, level, sure) between the four nodes around a colour whose largest component is 1.
 
@@ -215,7 +227,7 @@ def _look_up(nodes, solved, G0, G1, G2):  # type: ignore[no-untyped-def]
     return c0, c1, c2, level, sure
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _relative(axes, r, g, b):  # type: ignore[no-untyped-def]
     """Return G / max(G) and max(G) of a colour; (0, 0, 0) and 1 where no component is positive."""
     G0 = axes[0, 0] * r + axes[0, 1] * g + axes[0, 2] * b
@@ -227,8 +239,8 @@ def _relative(axes, r, g, b):  # type: ignore[no-untyped-def]
     return G0 / largest, G1 / largest, G2 / largest, largest
 
 
-@njit(cache=True)
-def _reach(weights, t, nodes, solved, cone, G0, G1, G2, y):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy")
+def _reach(weights, t, nodes, solved, cone, G0, G1, G2, y, darkest):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     """Return (c0, c1, c2, level) for a colour of luminance `y` whose largest component is 1; level 0 if out of
     reach.
     """
@@ -240,12 +252,12 @@ def _reach(weights, t, nodes, solved, cone, G0, G1, G2, y):  # type: ignore[no-u
     n0, n1, n2, error = solve(weights, t, level * G0, level * G1, level * G2, c0, c1, c2, _AIM * min(1.0, y), 8)
     if error <= tolerance * level:
         return n0, n1, n2, level
-    n0, n1, n2, error, level = approach(weights, t, G0, G1, G2, level, c0, c1, c2, tolerance)
+    n0, n1, n2, error, level = approach(weights, t, G0, G1, G2, level, c0, c1, c2, tolerance, darkest * level)
     return n0, n1, n2, level if error <= tolerance else 0.0
 
 
-@njit(cache=True)
-def _mixture(weights, t, nodes, solved, cone, axes, luminance, r, g, b):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy")
+def _mixture(weights, t, nodes, solved, cone, axes, luminance, r, g, b):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     """Return (c0, c1, c2, level, share, largest) of the colour mixed with `share` of its light's white.
 
     `luminance` is the colour's, and stays. The share begins where the mixture enters the cone and grows
@@ -260,7 +272,7 @@ def _mixture(weights, t, nodes, solved, cone, axes, luminance, r, g, b):  # type
         white = luminance * (cone[p, 0] + cone[p, 1] + cone[p, 2])
         if here < 0.0:
             share = max(share, here / (here - white))
-    extra = 1e-4
+    extra = 3e-4
     while extra < 1.0:
         mixed = share + (1.0 - share) * extra
         M0 = G0 + mixed * (luminance - G0)
@@ -268,16 +280,16 @@ def _mixture(weights, t, nodes, solved, cone, axes, luminance, r, g, b):  # type
         M2 = G2 + mixed * (luminance - G2)
         largest = max(M0, M1, M2)
         c0, c1, c2, level = _reach(
-            weights, t, nodes, solved, cone, M0 / largest, M1 / largest, M2 / largest, luminance / largest
+            weights, t, nodes, solved, cone, M0 / largest, M1 / largest, M2 / largest, luminance / largest, 0.03
         )
         if level > 0.0:
             return c0, c1, c2, level, mixed, largest
-        extra *= 2.0
+        extra *= 3.0
     return 0.0, 0.0, 0.0, 0.5, 1.0, luminance  # the white itself: S(0) = ½
 
 
-@njit(cache=True, parallel=True)
-def _uplift(  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", parallel=True)
+def _uplift(  # type: ignore[no-untyped-def]  # noqa: PLR0917
     rgb,
     cluster,
     axes,
@@ -313,12 +325,14 @@ def _uplift(  # type: ignore[no-untyped-def]
             # What has no luminance is outside of every cone of light.
             if y > 0.0:
                 G0, G1, G2, largest = _relative(axes[k], red, green, blue)
-                c0, c1, c2, level = _reach(weights[k], t, nodes[k], solved[k], cones[k], G0, G1, G2, y / largest)
+                c0, c1, c2, level = _reach(
+                    weights[k], t, nodes[k], solved[k], cones[k], G0, G1, G2, y / largest, _DARKEST
+                )
                 if level == 0.0:
                     kind = FALLBACK
                     G0, G1, G2, largest = _relative(axes[last], red, green, blue)
                     c0, c1, c2, level = _reach(
-                        weights[last], t, nodes[last], solved[last], cones[last], G0, G1, G2, y / largest
+                        weights[last], t, nodes[last], solved[last], cones[last], G0, G1, G2, y / largest, _DARKEST
                     )
                     if level > 0.0:
                         k = last

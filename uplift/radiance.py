@@ -77,7 +77,7 @@ def rgb_of(
 _Flat = tuple[Float64, Float64, npt.NDArray[np.int64]]
 
 
-def _flat(
+def _flat(  # noqa: PLR0917
     place: str,
     coefficients: npt.NDArray[np.floating],
     scale: npt.NDArray[np.floating],
@@ -106,7 +106,7 @@ def _flat(
     return s.shape, flat
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _sigmoid(x):  # type: ignore[no-untyped-def]
     """Return S(x) with full relative precision where it is small, and its limits at ±∞."""
     root = np.sqrt(1.0 + x * x)
@@ -114,8 +114,8 @@ def _sigmoid(x):  # type: ignore[no-untyped-def]
     return dark if x < 0.0 else 1.0 - dark
 
 
-@njit(cache=True, parallel=True)
-def _radiance(coefficients, scale, index, sampled, wavelengths, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", parallel=True)
+def _radiance(coefficients, scale, index, sampled, wavelengths, out):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     for p in prange(scale.size):
         c0, c1, c2 = coefficients[p, 0], coefficients[p, 1], coefficients[p, 2]
         for i in range(wavelengths.size):
@@ -123,8 +123,8 @@ def _radiance(coefficients, scale, index, sampled, wavelengths, out):  # type: i
             out[p, i] = scale[p] * sampled[index[p], i] * _sigmoid(x)
 
 
-@njit(cache=True, parallel=True)
-def _sum(coefficients, scale, index, responses, wavelengths, rgb_from_xyz, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", parallel=True)
+def _sum(coefficients, scale, index, responses, wavelengths, rgb_from_xyz, out):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     for p in prange(scale.size):
         c0, c1, c2 = coefficients[p, 0], coefficients[p, 1], coefficients[p, 2]
         X = Y = Z = 0.0

@@ -77,7 +77,7 @@ def reflectance(coefficients: npt.ArrayLike, wavelengths_nm: npt.ArrayLike) -> F
     return sigmoid((c[..., 0, :] * wavelengths + c[..., 1, :]) * wavelengths + c[..., 2, :])
 
 
-@njit(cache=True, fastmath=SUMS)
+@njit(cache=True, error_model="numpy", fastmath=SUMS)
 def integrals(weights, t, c0, c1, c2):  # type: ignore[no-untyped-def]
     """Return Σ weights · S and its nine derivatives by c, as twelve numbers (row by row), for coefficients
     in t.
@@ -113,8 +113,8 @@ def integrals(weights, t, c0, c1, c2):  # type: ignore[no-untyped-def]
     return f0, f1, f2, j00, j01, j02, j10, j11, j12, j20, j21, j22
 
 
-@njit(cache=True, fastmath=SUMS)
-def solve(weights, t, g0, g1, g2, c0, c1, c2, aim, most_steps):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", fastmath=SUMS)
+def solve(weights, t, g0, g1, g2, c0, c1, c2, aim, most_steps):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     """Return (c0, c1, c2, error) with Σ weights · S = (g0, g1, g2), by damped Newton steps from (c0, c1, c2).
 
     `error` is the largest of the three residuals' magnitudes. Near a solution Newton's error obeys e' ≈ C

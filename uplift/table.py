@@ -142,17 +142,17 @@ def _hull(points: Float64) -> list[int]:
     return corners if len(corners) > 2 else []
 
 
-@njit(cache=True, fastmath=SUMS)
-def approach(weights, t, d0, d1, d2, level, c0, c1, c2, tolerance):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", fastmath=SUMS)
+def approach(weights, t, d0, d1, d2, level, c0, c1, c2, tolerance, darkest):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     """Return (c0, c1, c2, error, level) with Σ weights · S = level · (d0, d1, d2), darkened until it can be
     solved.
 
     First Newton's method from (c0, c1, c2); if that fails, a walk in a straight line from the colour of (c0, c1, c2);
-    if that stops, on with 0.7 of the level. `error` is relative to the level, above `tolerance` if all failed. For
-    compiled code only.
+    if that stops, on with 0.7 of the level, down to `darkest`. `error` is relative to the level, above `tolerance`
+    if all failed. For compiled code only.
     """
     error = 1.0
-    while level > DARKEST:
+    while level > darkest:
         aim = 0.01 * tolerance * level
         n0, n1, n2, error = solve(weights, t, level * d0, level * d1, level * d2, c0, c1, c2, aim, 20)
         error /= level
@@ -178,7 +178,7 @@ def approach(weights, t, d0, d1, d2, level, c0, c1, c2, tolerance):  # type: ign
     return c0, c1, c2, 1.0, level
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def inside(cone, d0, d1, d2):  # type: ignore[no-untyped-def]
     """Return whether (d0, d1, d2), whose largest component is 1, lies inside `cone` [P, 3]. For compiled
     code only.
@@ -189,7 +189,7 @@ def inside(cone, d0, d1, d2):  # type: ignore[no-untyped-def]
     return nearest > BORDER
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def permuted(m, largest, second, third):  # type: ignore[no-untyped-def]
     """Return a colour in the order of the axes, given its components m, m + 1 and m + 2 (modulo 3)."""
     if m == 0:
@@ -199,22 +199,24 @@ def permuted(m, largest, second, third):  # type: ignore[no-untyped-def]
     return second, third, largest
 
 
-@njit(cache=True)
-def _node(weights, t, cone, nodes, solved, m, i, j, from_i, from_j, top):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy")
+def _node(weights, t, cone, nodes, solved, m, i, j, from_i, from_j, top):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     """Solve one node, starting from a neighbour and a little brighter than it, at most at `top`."""
     n = nodes.shape[1]
     d0, d1, d2 = permuted(m, 1.0, i / (n - 1), j / (n - 1))
     c0, c1, c2 = nodes[m, from_i, from_j, 0], nodes[m, from_i, from_j, 1], nodes[m, from_i, from_j, 2]
     level = nodes[m, from_i, from_j, 3]
     if inside(cone, d0, d1, d2):
-        n0, n1, n2, error, reached = approach(weights, t, d0, d1, d2, min(top, 1.2 * level), c0, c1, c2, SOLVED)
+        n0, n1, n2, error, reached = approach(
+            weights, t, d0, d1, d2, min(top, 1.2 * level), c0, c1, c2, SOLVED, DARKEST
+        )
         if error <= SOLVED:
             c0, c1, c2, level = n0, n1, n2, reached
             solved[m, i, j] = True
     nodes[m, i, j, 0], nodes[m, i, j, 1], nodes[m, i, j, 2], nodes[m, i, j, 3] = c0, c1, c2, level
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, error_model="numpy", parallel=True)
 def _fill(weights, t, cone, n, top):  # type: ignore[no-untyped-def]
     """Return nodes [3, n, n, 4] and solved [3, n, n]: from grey along one edge, from there along each
     line.
