@@ -12,7 +12,7 @@ from uplift.cluster.kmeans import angles, directions, histogram, kmeans_up_to, s
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
-MIN_SHARE = 0.03  # of the evidence's light, for a cluster to be one
+MIN_SHARE = 0.01  # of the evidence's light, for a cluster to be one
 MIN_SHARE_SURFACES = 0.20
 MIN_SHARE_UNDER_SKY = 0.10  # of all light, for lamps under an open sky, where glitter on water is as bright as a lamp
 SKY_MARGIN = 4.0 / 360.0  # of the width: how far beyond the sky's border the sun's glare is still the sky's
