@@ -45,7 +45,7 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
         "cfa": merged.cfa,
         "frames": [
             {
-                "name": use.name,
+                "name": Path(use.name).name,
                 "exposure_s": float(use.exposure_s),
                 "exposure": str(use.exposure_s),
                 "clipped": use.clipped / lost.size,
