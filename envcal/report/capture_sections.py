@@ -120,6 +120,8 @@ def _crop(
     """The part of an image around some points, enlarged, and how to draw on it in the image's own pixels."""
     height, width = exr.header(path).size
     at = np.asarray(points, np.float64)
+    if np.abs(at).max() > 4 * max(height, width):
+        return None  # not a place in this image
     low, high = at.min(axis=0), at.max(axis=0)
     around = margin * float((high - low).max()) + 4
     left, right = int(np.floor(low[0] - around)), int(np.ceil(high[0] + around)) + 1

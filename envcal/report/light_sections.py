@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from envcal import exr, lights_file, spectral_exr, uplift_file
 from envcal.config import LIGHT_TYPES, parse_wavelengths
+from envcal.errors import EnvcalError
 from envcal.provenance import CAMERA_RGB
 from envcal.report import plots, previews
 
@@ -143,7 +144,7 @@ def _cluster_pictures(output: Path, found: lights_file.Lights) -> dict[str, Any]
     labels = small.planes["cluster"]
     grey = previews.luminance(small.rgb, matrix).astype(np.float32)
     shown = previews.display(np.repeat(grey[..., np.newaxis], 3, axis=2), np.eye(3), gain=gain)
-    tint = np.array([_rgb(plots.colour_of(k)) for k in range(int(labels.max()) + 1)])[labels]
+    tint = np.array([_rgb(colour) for colour in plots.PALETTE])[labels % len(plots.PALETTE)]
     mixed = np.round(0.8 * shown * (0.3 + 0.7 * tint / 255) + 0.2 * tint).astype(np.uint8)
     border = _borders(labels)
     mixed[border] = mixed[border] // 2 + 110
@@ -181,14 +182,12 @@ def uplift(output: Path, figures: dict[str, Any], found: lights_file.Lights | No
         return None
     header, about = uplift_file.read_about(path)
     height, width = header.size
-    status = None
-    present: set[int] = set()
-    if "status" in header.channels:
-        small = previews.reduced(path, {"status": "max"}, longest=LONGEST_MAP // 2).planes["status"]
-        present = {int(k) for k in np.unique(small)}
-        if max(present) >= _FIRST_NOTABLE:
-            colours = np.array([_rgb(colour) for colour in _STATUS_COLOURS], np.uint8)
-            status = previews.png(colours[np.minimum(small, len(_STATUS) - 1)])
+    ways: dict[str, Literal["mean", "centre", "max"]] = dict.fromkeys(uplift_file.CHANNELS, "centre")
+    ways["status"] = "max"
+    if "status" not in header.channels:
+        del ways["status"]
+    small = previews.reduced(path, ways, longest=LONGEST_MAP // 2)
+    picture, present = _status_map(small.planes["status"]) if "status" in ways else (None, set())
     counts = figures.get("status", {})
     return {
         "width": width,
@@ -198,21 +197,31 @@ def uplift(output: Path, figures: dict[str, Any], found: lights_file.Lights | No
             {"name": name, "meaning": meaning, "colour": colour, "count": counts.get(name), "on_map": k in present}
             for k, (name, meaning, colour) in enumerate(zip(_STATUS, _STATUS_MEANING, _STATUS_COLOURS, strict=True))
         ],
-        "map": status,
-        "pixels": _pixel_spectra(path, about, found),
+        "map": picture,
+        "pixels": _pixel_spectra(small, about, found),
     }
 
 
-def _pixel_spectra(path: Path, about: uplift_file.About, found: lights_file.Lights | None) -> list[dict[str, Any]]:
+def _status_map(status: npt.NDArray[Any]) -> tuple[str | None, set[int]]:
+    """A map of the pixels by status, if any is not exact under its own light, and which statuses there are."""
+    present = {int(k) for k in np.unique(status)}
+    if max(present) < _FIRST_NOTABLE:
+        return None, present
+    colours = np.array([_rgb(colour) for colour in _STATUS_COLOURS], np.uint8)
+    return previews.png(colours[np.minimum(status, len(_STATUS) - 1)]), present
+
+
+def _pixel_spectra(
+    small: previews.Reduced, about: uplift_file.About, found: lights_file.Lights | None
+) -> list[dict[str, Any]]:
     """For each light: its emission, and the spectra of a pixel where it is brightest and of one of median brightness."""
-    names = ["c0", "c1", "c2", "scale", "cluster", "R", "G", "B"]
-    small = previews.reduced(path, dict.fromkeys(names, "centre"), longest=LONGEST_MAP // 2)
     planes = small.planes
     matrix = previews.srgb_matrix(about.space)
     y = np.nan_to_num(previews.luminance(small.rgb, matrix), nan=0.0)
     wavelengths = np.asarray(about.wavelengths_nm)
     emissions = about.emissions()
-    named = {light.cluster: light for light in found.lights} if found else {}
+    # The scaled method puts every pixel under D65, whatever lights there are.
+    named = {light.cluster: light for light in found.lights} if found and about.method == "constrained" else {}
     shown = []
     for k, emission in enumerate(emissions):
         inside = np.flatnonzero((planes["cluster"].ravel() == k) & (planes["scale"].ravel() > 0) & (y.ravel() > 0))
@@ -242,9 +251,7 @@ def _pixel_spectra(path: Path, about: uplift_file.About, found: lights_file.Ligh
             )
         shown.append(
             {
-                "title": f"{k} {light.name or light.type}"
-                if light
-                else "D65, for colours that their own light cannot show",
+                "title": f"{k} {light.name or light.type}" if light else about.clusters[k].source,
                 "colour": plots.colour_of(k),
                 "places": places,
                 "plot": plots.curves(
@@ -296,6 +303,8 @@ def spectra(output: Path) -> dict[str, Any] | None:
         if match:
             bands[float(f"{match[1]}.{match[2]}")] = name
     wavelengths = sorted(bands)
+    if not wavelengths:
+        raise EnvcalError(f"{path}: holds no spectral band. Run `envcal spectra` again.")
     asked = dict.fromkeys(_nearest(wavelengths, near) for near in (450, 550, 650))
     small = previews.reduced(path, {bands[w]: "mean" for w in asked}, longest=560)
     views = []

@@ -239,9 +239,11 @@ def finished_run(
     }  # fmt: skip
 
 
-def _write_uplift(path: Path, image: np.ndarray, labels: np.ndarray, found: Lights) -> None:
+def _write_uplift(
+    path: Path, image: np.ndarray, labels: np.ndarray, found: Lights, method: str = "constrained"
+) -> None:
     about = About(
-        method="constrained",
+        method=method,
         space=SPACE,
         observer=found.observer,
         wavelengths_nm=[float(w) for w in GRID],
@@ -472,6 +474,39 @@ def test_a_damaged_file_is_left_out_with_a_warning(tmp_path: Path) -> None:
     outline = Outline((tmp_path / "report.html").read_text(encoding="utf-8"))
     assert "lights" not in [section["id"] for section in outline.all("section")]
     assert "is not an OpenEXR file" in outline.words and "4 warnings" in outline.words
+
+
+def test_files_with_impossible_contents_are_left_out_with_a_warning(tmp_path: Path) -> None:
+    records = finished_run(tmp_path)
+    exr.write(tmp_path / "spectra/environment.exr", exr.rgb_planes(room()), attributes={})
+    tampered = lights().model_copy(update={"wavelengths": "780:380:5"})
+    (tmp_path / "cluster/lights.json").write_text(tampered.model_dump_json(), encoding="utf-8")
+    profile = lamp_profile(chart_profile())
+    far = profile.chart.model_copy(update={"corners": [(1e300, 0.0), (1e300, 1.0), (0.0, 1.0), (0.0, 0.0)]})
+    profile.model_copy(update={"chart": far}).write(tmp_path / "balance/profile.json")
+    outcome = write_report(tmp_path, records)
+    assert len(outcome.warnings) == 2
+    assert any("780:380:5" in text for text in outcome.warnings)
+    assert any("holds no spectral band" in text for text in outcome.warnings)
+
+
+def test_labels_beyond_all_lights_do_not_cost_memory(tmp_path: Path) -> None:
+    records = finished_run(tmp_path)
+    labels = np.full((HEIGHT, WIDTH), 2**32 - 1, np.uint32)
+    planes = {**exr.rgb_planes(room()), "cluster": labels, "sky": labels * 0}
+    exr.write(tmp_path / "cluster/clusters.exr", planes, attributes={})
+    assert not write_report(tmp_path, records).warnings
+
+
+def test_pixels_uplifted_under_d65_alone_are_not_given_a_lights_name(tmp_path: Path) -> None:
+    records = finished_run(tmp_path)
+    found = lights("desk lamp")
+    labels = np.zeros((HEIGHT, WIDTH), np.uint32)
+    _write_uplift(tmp_path / "uplift/environment.exr", room(), labels, found, method="scaled")
+    write_report(tmp_path, records)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    titles = re.findall(r'aria-label="Spectra of two pixels: ([^"]*)"', page)
+    assert titles == ["smooth spectrum of its colour temperature"]  # what the file calls its only emission
 
 
 def test_a_damaged_record_is_refused_with_its_place(tmp_path: Path) -> None:
