@@ -97,7 +97,7 @@ def chromaticities(points: Sequence[Point], *, name: str) -> str:
         for cct in (2000, 2700, 3500, 5000, 6500, 10_000, 20_000):
             ends = isotherm(cct, np.array([-0.012, 0.012]))
             axes.plot(*ends.T, color=_MUTED, linewidth=0.7)
-            axes.annotate(f"{cct} K", ends[0], color=_MUTED, fontsize=7, ha="left", va="top")
+            axes.annotate(f"{cct} K", ends[0], color=_MUTED, fontsize=7.5, ha="left", va="top")
         for point in points:
             colour = colour_of(point.light)
             if point.bar is not None:
@@ -144,7 +144,7 @@ def _figure(size_in: tuple[float, float]) -> Iterator[Any]:
         "svg.fonttype": "none",
         "text.parse_math": False,
         "font.family": ["DejaVu Sans"],
-        "font.size": 8.5,
+        "font.size": 9.2,
         "axes.linewidth": 0.7,
         "axes.spines.top": False,
         "axes.spines.right": False,
