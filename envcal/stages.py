@@ -168,8 +168,10 @@ STAGES: tuple[Stage, ...] = (
         inputs=(
             "merge/{shot}.exr",
             "correct/{shot}.exr",
+            "correct/profile.json",
             "balance/{shot}.exr",
             "balance/profile.json",
+            "panorama/environment.exr",
             "cluster/clusters.exr",
             "cluster/lights.json",
             "uplift/environment.exr",
