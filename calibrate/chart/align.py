@@ -21,10 +21,14 @@ from calibrate.chart.geometry import (
     project,
     signed_area,
 )
-from calibrate.chart.judge import glance
+from calibrate.chart.judge import glance, unevenness
 
 # Pixels a chart unit in the two flattened charts: a patch is 10, then 40 pixels wide.
 _UNITS_PX: Final = (4, 16)
+# Where the given box was good already, both scatter by noise alone.
+_SCATTER_ALLOWED: Final = 1.05
+# How much of its place a patch fills: the Classic, then smaller editions, whose gaps are wider.
+_PATCH_PARTS: Final = (1.0, 0.86)
 # The part of the frame that is compared too, in chart units; the dark frame of every edition reaches farther.
 _MARGIN: Final = 0.75
 # Half a patch is farther than a detector errs; a warp that far has slipped to a neighbour. In chart units.
@@ -34,20 +38,24 @@ _FARTHEST: Final = 1.25
 def align(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
     """Return the corners [4, 2] for which a drawing of the chart covers the chart in `image` best.
 
-    None if the alignment does not converge, or slips by half a patch.
+    None if the alignment does not converge, slips by half a patch, or if the patches scatter notably more afterwards.
     """
-    aligned = corners
-    for unit in _UNITS_PX:
-        moved = _aligned_once(image, aligned, unit)
-        if moved is None:
-            return None
-        aligned = moved
     limit = _FARTHEST * np.sqrt(abs(signed_area(corners)) / (BOX_WIDTH * BOX_HEIGHT))
-    return aligned if np.abs(aligned - corners).max() < limit else None
+    scatter = unevenness(image, corners)
+    for part in _PATCH_PARTS:
+        aligned: npt.NDArray[np.float64] | None = corners
+        for unit in _UNITS_PX:
+            if aligned is not None:
+                aligned = _aligned_once(image, aligned, unit, part)
+        if aligned is None or np.abs(aligned - corners).max() > limit:
+            continue
+        if unevenness(image, aligned) <= _SCATTER_ALLOWED * scatter:
+            return aligned
+    return None
 
 
 def _aligned_once(
-    image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], unit: int
+    image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], unit: int, part: float
 ) -> npt.NDArray[np.float64] | None:
     levels = glance(image, corners).sum(axis=1)
     if not np.isfinite(levels).all():
@@ -59,7 +67,11 @@ def _aligned_once(
     image_from_flat = image_from_chart(corners) @ chart_from_flat
     image_px_per_unit = np.sqrt(abs(signed_area(corners)) / (BOX_WIDTH * BOX_HEIGHT))
     if image_px_per_unit > 1.5 * unit:
-        image = cv2.GaussianBlur(image, (0, 0), 0.35 * image_px_per_unit / unit)
+        # Around lost pixels the blur is that of the others alone.
+        known: npt.NDArray[np.float32] = np.asarray(np.isfinite(image).all(axis=2), dtype=np.float32)
+        weight = cv2.GaussianBlur(known, (0, 0), 0.35 * image_px_per_unit / unit)
+        blurred = cv2.GaussianBlur(np.where(known[..., None] > 0, image, 0), (0, 0), 0.35 * image_px_per_unit / unit)
+        image = np.where(weight[..., None] > 0.3, blurred / np.maximum(weight, 0.3)[..., None], np.float32(np.nan))
     flat = cv2.warpPerspective(
         image,
         image_from_flat,
@@ -71,7 +83,9 @@ def _aligned_once(
     white = max(float(levels.max()), 1e-12)
     valid = np.isfinite(flat).all(axis=2).astype(np.uint8)
     grey = np.cbrt(np.clip(np.nan_to_num(flat.sum(axis=2)) / white, 0, 1.5)).astype(np.float32)
-    drawing = _drawing(np.cbrt(np.clip(levels / white, 0, 1.5)), unit, size, blur=0.6 * unit / image_px_per_unit)
+    drawing = _drawing(
+        np.cbrt(np.clip(levels / white, 0, 1.5)), unit, size, part=part, blur=0.6 * unit / image_px_per_unit
+    )
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-6)
     try:
         _, warp = cv2.findTransformECC(
@@ -98,11 +112,11 @@ def _cropped(
 
 
 def _drawing(
-    levels: npt.NDArray[np.float64], unit: int, size: tuple[int, int], *, blur: float
+    levels: npt.NDArray[np.float64], unit: int, size: tuple[int, int], *, part: float, blur: float
 ) -> npt.NDArray[np.float32]:
     """The flattened chart as it should look: `levels` [24] on a dark ground, as blurred as the photograph's pixels are."""
     drawing = np.full(size[::-1], 0.8 * float(levels.min()), dtype=np.float32)
-    for quad, level in zip(patch_quads(1.0), levels, strict=True):
+    for quad, level in zip(patch_quads(part), levels, strict=True):
         (left, top), (right, bottom) = ((quad[[0, 2]] + _MARGIN) * unit).round().astype(int)
         drawing[top:bottom, left:right] = level
     return np.asarray(cv2.GaussianBlur(drawing, (0, 0), max(blur, 0.6)), dtype=np.float32)

@@ -32,10 +32,34 @@ _ORDERS: Final = (
 )
 
 
-def glance(
-    image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], part: float = 0.5
-) -> npt.NDArray[np.float64]:
+def glance(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return the median of a few bilinear samples in each patch [24, 3]: NaN where most are NaN or outside."""
+    samples = _samples(image, corners, 0.5)
+    values = np.full((len(samples), 3), np.nan)
+    for value, patch in zip(values, samples, strict=True):
+        seen = patch[np.isfinite(patch).all(axis=1)]
+        if len(seen) > len(patch) // 2:
+            value[:] = np.median(seen, axis=0)
+    return values
+
+
+def unevenness(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> float:
+    """Return how much the inner 80 % of a patch (by width) scatters, as the mean relative spread over the patches.
+
+    A box that is off takes in the dark gaps, and scatters more.
+    """
+    levels = _samples(image, corners, 0.8).sum(axis=2)
+    spreads = []
+    for patch in levels:
+        seen = patch[np.isfinite(patch)]
+        if len(seen) > len(patch) // 2 and np.median(seen) > 0:
+            # Between two percentiles: hot and dead pixels are none of the box's fault.
+            spreads.append(np.subtract(*np.percentile(seen, (90, 10))) / np.median(seen))
+    return float(np.mean(spreads)) if spreads else float("inf")
+
+
+def _samples(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], part: float) -> npt.NDArray[np.float32]:
+    """A grid of bilinear samples [24, N, 3] in the central `part` of each patch; NaN outside the image."""
     grid = (np.arange(_SAMPLES_PER_SIDE) + 0.5) / _SAMPLES_PER_SIDE
     s, t = np.meshgrid(grid, grid)
     quads = patch_quads(part)
@@ -49,11 +73,7 @@ def glance(
         borderMode=cv2.BORDER_CONSTANT,
         borderValue=(np.nan, np.nan, np.nan, np.nan),
     )
-    seen = np.isfinite(samples).all(axis=2)
-    values = np.full((len(quads), 3), np.nan)
-    for index in np.flatnonzero(seen.mean(axis=1) > 0.5):
-        values[index] = np.median(samples[index, seen[index]], axis=0)
-    return values
+    return np.asarray(samples, dtype=np.float32)
 
 
 def best_order(patches: npt.NDArray[np.float64], reference: ChartReference) -> tuple[float, tuple[int, int, int, int]]:

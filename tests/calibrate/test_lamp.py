@@ -6,7 +6,7 @@ import pytest
 
 from calibrate import CalibrateError
 from calibrate.adapt import von_kries_matrix
-from calibrate.chart import ChartReference, chart_reference
+from calibrate.chart import ChartReference, chart_reference, find_chart, measure_patches
 from calibrate.chart.geometry import BOX_HEIGHT, BOX_WIDTH
 from calibrate.correct import apply_matrix, fit_matrix
 from calibrate.lamp import adapted_d65_curve, find_lamp, measure_lamp, rectangle_from_chart
@@ -221,3 +221,45 @@ def test_the_curve_is_what_adapting_planckian_light_gives():
         seen = colour.chromatic_adaptation(d65, light, d65, method="Von Kries", transform="CAT16")
         uv = colour.xy_to_Luv_uv(colour.XYZ_to_xy(seen))
         assert np.hypot(*(adapted_d65_curve() - uv).T).min() < 0.006
+
+
+def calibrated(rgb, *, latlong=False):
+    """Camera RGB through chart and lamp, as a profile would be made: (balanced image, chart, fit, lamp)."""
+    chart = find_chart(rgb, latlong=latlong)
+    patches = measure_patches(rgb, chart.quads, latlong=latlong)
+    fit = fit_matrix(patches.rgb, chart_reference(), rgb_from_xyz=np.linalg.inv(XYZ_FROM_RGB))
+    corrected = apply_matrix(rgb, fit.matrix)
+    lamp = find_lamp(corrected, chart_corners=chart.corners, xyz_from_rgb=XYZ_FROM_RGB, latlong=latlong)
+    gains = von_kries_matrix(lamp.rgb, np.ones(3), xyz_from_rgb=XYZ_FROM_RGB)
+    return apply_matrix(corrected, gains), chart, fit, lamp
+
+
+@pytest.mark.parametrize("light", ["A", "D65"])
+def test_a_photograph_of_chart_and_module_is_calibrated_from_end_to_end(light):
+    from samples.chart_view import chart_view
+
+    view = chart_view(light=light, yaw_deg=8.0, pitch_deg=6.0)
+    noise = 1 + 0.01 * np.random.default_rng(1).standard_normal(view.rgb.shape)
+    balanced, chart, fit, lamp = calibrated((view.rgb * noise).astype(np.float32))
+    # The printed gap is a little wider than the detector's model of it.
+    np.testing.assert_allclose(chart.corners, view.chart_corners, atol=3.0)
+    assert fit.delta_e.mean() < 4.0
+    assert balanced[view.module].mean(axis=0) == pytest.approx(np.ones(3), abs=0.01)
+    assert lamp.runner_up < 0.5 * lamp.score
+
+
+@pytest.mark.slow
+def test_in_the_sample_room_the_module_is_found_and_every_lamp_keeps_its_cct():
+    import colour
+
+    from samples import make_capture
+
+    capture = make_capture()
+    truth = capture.truth()
+    balanced, _, fit, _ = calibrated(capture.rgb.astype(np.float32), latlong=True)
+    assert fit.delta_e.mean() <= 2.5
+    assert balanced[truth.module].mean(axis=0) == pytest.approx(np.ones(3), abs=0.01)
+    for index in range(len(truth.emitters) - 1):
+        xyz = XYZ_FROM_RGB @ balanced[truth.labels == index].mean(axis=0)
+        cct = colour.temperature.uv_to_CCT_Ohno2013(colour.UCS_to_uv(colour.XYZ_to_UCS(xyz)))[0]
+        assert cct == pytest.approx(truth.cct_k[index], rel=0.05)
