@@ -46,8 +46,8 @@ def delta_e_2000(
     out = np.empty(a.size // 3)
     white_xyz = space.xyz_from_rgb.sum(axis=1)
     _differences(
-        np.ascontiguousarray(a.reshape(-1, 3)),
-        np.ascontiguousarray(b.reshape(-1, 3)),
+        np.ascontiguousarray(a.reshape(-1, 3), dtype=np.float64),
+        np.ascontiguousarray(b.reshape(-1, 3), dtype=np.float64),
         np.ascontiguousarray(space.xyz_from_rgb / white_xyz[:, None]),
         white if white is not None else 0.0,
         out,
@@ -111,8 +111,8 @@ def _ciede2000(L1, a1, b1, L2, a2, b2):  # type: ignore[no-untyped-def]  # noqa:
 @njit(cache=True, error_model="numpy", parallel=True)
 def _differences(rgb_a, rgb_b, relative_from_rgb, white, out):  # type: ignore[no-untyped-def]
     for p in prange(out.size):
-        r, g, b = float(rgb_a[p, 0]), float(rgb_a[p, 1]), float(rgb_a[p, 2])
-        u, v, w = float(rgb_b[p, 0]), float(rgb_b[p, 1]), float(rgb_b[p, 2])
+        r, g, b = rgb_a[p, 0], rgb_a[p, 1], rgb_a[p, 2]
+        u, v, w = rgb_b[p, 0], rgb_b[p, 1], rgb_b[p, 2]
         Y = relative_from_rgb[1, 0] * r + relative_from_rgb[1, 1] * g + relative_from_rgb[1, 2] * b
         divisor = max(Y, white)
         if not (np.isfinite(r + g + b) and np.isfinite(u + v + w)):

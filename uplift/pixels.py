@@ -108,7 +108,7 @@ def uplift_pixels(rgb: npt.NDArray[np.floating], cluster: npt.NDArray[np.integer
     emission = np.empty(rgb.shape[:2], np.uint32)
     status = np.empty(rgb.shape[:2], np.uint8)
     _uplift(
-        np.ascontiguousarray(rgb),
+        np.ascontiguousarray(rgb, dtype=np.float64),
         np.ascontiguousarray(cluster, dtype=np.uint32),
         np.stack([table.axes for table in every]),
         np.stack([table.weights for table in every]),
@@ -257,11 +257,9 @@ def _reach(weights, t, nodes, solved, cone, G0, G1, G2, y, darkest):  # type: ig
 
 
 @njit(cache=True, error_model="numpy")
-def _mixture(weights, t, nodes, solved, cone, axes, luminance, r, g, b):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return (c0, c1, c2, level, share, largest) of the colour mixed with `share` of its light's white.
-
-    `luminance` is the colour's, and stays. The share begins where the mixture enters the cone and grows
-    until it can be solved.
+def _entry(cone, axes, luminance, r, g, b):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Return the share of its light's white at which a colour of positive luminance, mixed with it, enters the
+    cone.
     """
     G0 = axes[0, 0] * r + axes[0, 1] * g + axes[0, 2] * b
     G1 = axes[1, 0] * r + axes[1, 1] * g + axes[1, 2] * b
@@ -272,9 +270,18 @@ def _mixture(weights, t, nodes, solved, cone, axes, luminance, r, g, b):  # type
         white = luminance * (cone[p, 0] + cone[p, 1] + cone[p, 2])
         if here < 0.0:
             share = max(share, here / (here - white))
-    extra = 3e-4
-    while extra < 1.0:
-        mixed = share + (1.0 - share) * extra
+    return share
+
+
+@njit(cache=True, error_model="numpy")
+def _mixture(weights, t, nodes, solved, cone, axes, luminance, share, r, g, b):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Return (c0, c1, c2, level, largest) of a colour mixed with `share` of its light's white, and the least more."""
+    G0 = axes[0, 0] * r + axes[0, 1] * g + axes[0, 2] * b
+    G1 = axes[1, 0] * r + axes[1, 1] * g + axes[1, 2] * b
+    G2 = axes[2, 0] * r + axes[2, 1] * g + axes[2, 2] * b
+    more = 3e-4
+    while more < 1.0:
+        mixed = share + (1.0 - share) * more
         M0 = G0 + mixed * (luminance - G0)
         M1 = G1 + mixed * (luminance - G1)
         M2 = G2 + mixed * (luminance - G2)
@@ -283,9 +290,9 @@ def _mixture(weights, t, nodes, solved, cone, axes, luminance, r, g, b):  # type
             weights, t, nodes, solved, cone, M0 / largest, M1 / largest, M2 / largest, luminance / largest, 0.03
         )
         if level > 0.0:
-            return c0, c1, c2, level, mixed, largest
-        extra *= 3.0
-    return 0.0, 0.0, 0.0, 0.5, 1.0, luminance  # the white itself: S(0) = ½
+            return c0, c1, c2, level, largest
+        more *= 3.0
+    return 0.0, 0.0, 0.0, 0.5, luminance  # the white itself: S(0) = ½
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
@@ -310,7 +317,12 @@ def _uplift(  # type: ignore[no-untyped-def]  # noqa: PLR0917
     width = rgb.shape[1]
     for index in prange(rgb.shape[0] * width):
         row, column = index // width, index % width
-        red, green, blue = float(rgb[row, column, 0]), float(rgb[row, column, 1]), float(rgb[row, column, 2])
+        # Not float(): that leaves a float32 one, and the division below would round to 24 bits.
+        red, green, blue = (
+            np.float64(rgb[row, column, 0]),
+            np.float64(rgb[row, column, 1]),
+            np.float64(rgb[row, column, 2]),
+        )
         k = int(cluster[row, column])
         kind = EXACT
         c0, c1, c2, level, largest = 0.0, 0.0, -np.inf, 0.0, 0.0
@@ -338,14 +350,13 @@ def _uplift(  # type: ignore[no-untyped-def]  # noqa: PLR0917
                         k = last
                 if level == 0.0:
                     kind = CLOSEST
-                    c0, c1, c2, level, share, largest = _mixture(
-                        weights[k], t, nodes[k], solved[k], cones[k], axes[k], y, red, green, blue
+                    share = _entry(cones[k], axes[k], y, red, green, blue)
+                    other = _entry(cones[last], axes[last], y, red, green, blue)
+                    if other < share:
+                        k, share = last, other
+                    c0, c1, c2, level, largest = _mixture(
+                        weights[k], t, nodes[k], solved[k], cones[k], axes[k], y, share, red, green, blue
                     )
-                    n0, n1, n2, n_level, n_share, n_largest = _mixture(
-                        weights[last], t, nodes[last], solved[last], cones[last], axes[last], y, red, green, blue
-                    )
-                    if n_share < share:
-                        c0, c1, c2, level, largest, k = n0, n1, n2, n_level, n_largest, last
             else:
                 kind = CLOSEST
         coefficients[row, column, 0] = c0 * b * b

@@ -48,7 +48,7 @@ def uplift_scaled(
     status = np.empty(rgb.shape[:2], np.uint8)
     weights = rgb_weights(d65, observer, space)
     u = np.ascontiguousarray((observer.wavelengths_nm - first) / span)
-    _fit(np.ascontiguousarray(rgb), weights, u, factor, coefficients, scale, status)
+    _fit(np.ascontiguousarray(rgb, dtype=np.float64), weights, u, factor, coefficients, scale, status)
     # From u = (λ − first) / span to λ in nm.
     A, B, C = np.moveaxis(coefficients, -1, 0)
     in_nm = np.stack(
@@ -115,7 +115,7 @@ def _fit(rgb, weights, u, factor, coefficients, scale, status):  # type: ignore[
     width = rgb.shape[1]
     for index in prange(rgb.shape[0] * width):
         row, column = index // width, index % width
-        red, green, blue = float(rgb[row, column, 0]), float(rgb[row, column, 1]), float(rgb[row, column, 2])
+        red, green, blue = rgb[row, column, 0], rgb[row, column, 1], rgb[row, column, 2]
         kind = _EXACT
         c0, c1, c2, brightness = 0.0, 0.0, -np.inf, 0.0
         if not np.isfinite(red + green + blue):

@@ -143,37 +143,46 @@ def _hull(points: Float64) -> list[int]:
 
 
 @njit(cache=True, error_model="numpy", fastmath=SUMS)
-def approach(weights, t, d0, d1, d2, level, c0, c1, c2, tolerance, darkest):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return (c0, c1, c2, error, level) with Σ weights · S = level · (d0, d1, d2), darkened until it can be
-    solved.
-
-    First Newton's method from (c0, c1, c2); if that fails, a walk in a straight line from the colour of (c0, c1, c2);
-    if that stops, on with 0.7 of the level, down to `darkest`. `error` is relative to the level, above `tolerance`
-    if all failed. For compiled code only.
+def _walk(weights, t, g0, g1, g2, c0, c1, c2, aim, tolerance):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Return (c0, c1, c2, error) with Σ weights · S = g: Newton's method, or a walk in a straight line from c's
+    colour.
     """
-    error = 1.0
-    while level > darkest:
-        aim = 0.01 * tolerance * level
-        n0, n1, n2, error = solve(weights, t, level * d0, level * d1, level * d2, c0, c1, c2, aim, 20)
-        error /= level
+    n0, n1, n2, error = solve(weights, t, g0, g1, g2, c0, c1, c2, aim, 20)
+    if error <= tolerance:
+        return n0, n1, n2, error
+    s0, s1, s2 = integrals(weights, t, c0, c1, c2)[:3]
+    done, step = 0.0, 0.5
+    while step > 0.01 and done < 1.0:
+        part = min(1.0, done + step)
+        n0, n1, n2, error = solve(
+            weights, t, s0 + part * (g0 - s0), s1 + part * (g1 - s1), s2 + part * (g2 - s2), c0, c1, c2, aim, 12
+        )
         if error <= tolerance:
-            return n0, n1, n2, error, level
-        s0, s1, s2 = integrals(weights, t, c0, c1, c2)[:3]
-        done, step = 0.0, 0.5
-        while step > 0.01 and done < 1.0:
-            part = min(1.0, done + step)
-            g0 = s0 + part * (level * d0 - s0)
-            g1 = s1 + part * (level * d1 - s1)
-            g2 = s2 + part * (level * d2 - s2)
-            n0, n1, n2, error = solve(weights, t, g0, g1, g2, c0, c1, c2, aim, 12)
-            error /= level
-            if error <= tolerance:
-                c0, c1, c2, done = n0, n1, n2, part
-                step *= 2.0
-            else:
-                step *= 0.5
-        if done >= 1.0:
-            return c0, c1, c2, error, level
+            c0, c1, c2, done = n0, n1, n2, part
+            step *= 2.0
+        else:
+            step *= 0.5
+    return c0, c1, c2, error
+
+
+@njit(cache=True, error_model="numpy", fastmath=SUMS)
+def approach(weights, t, d0, d1, d2, level, c0, c1, c2, tolerance, darkest):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Return (c0, c1, c2, error, level) with Σ weights · S = level · (d0, d1, d2), darkened until it can be solved.
+
+    At each level the way begins at (c0, c1, c2), and if that leads nowhere at grey, whose curvature misleads
+    nobody; the next level is 0.7 of it, down to `darkest`. `error` is relative to the level, above `tolerance` if
+    all failed. For compiled code only.
+    """
+    while level > darkest:
+        g0, g1, g2 = level * d0, level * d1, level * d2
+        limit = tolerance * level
+        n0, n1, n2, error = _walk(weights, t, g0, g1, g2, c0, c1, c2, 0.01 * limit, limit)
+        if error > limit:
+            v = 0.5 * level
+            grey = (v - 0.5) / np.sqrt(v * (1.0 - v))
+            n0, n1, n2, error = _walk(weights, t, g0, g1, g2, 0.0, 0.0, grey, 0.01 * limit, limit)
+        if error <= limit:
+            return n0, n1, n2, error / level, level
         level *= 0.7
     return c0, c1, c2, 1.0, level
 
