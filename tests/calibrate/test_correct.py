@@ -57,7 +57,7 @@ def test_what_is_left_out_is_predicted_worse_on_average(reference, light):
 
 def test_leave_one_out_is_a_fit_without_that_patch(reference):
     camera = patch_colours("A")
-    fit = fit_matrix(camera, reference, rgb_from_xyz=RGB_FROM_XYZ, weighting="linear")
+    fit = fit_matrix(camera, reference, rgb_from_xyz=RGB_FROM_XYZ, shading="none")
     kept = np.arange(24) != 7
     solution = np.linalg.solve(camera[kept].T @ camera[kept], camera[kept].T @ reference.XYZ[kept])
     expected = delta_e_2000(lab_from_xyz(camera[7] @ solution), lab_from_xyz(reference.XYZ[7]))
@@ -73,6 +73,38 @@ def test_gains_of_the_camera_and_the_exposure_leave_the_result_unchanged(referen
     )
     np.testing.assert_allclose(one.fitted_rgb, other.fitted_rgb, atol=ROUNDING)
     np.testing.assert_allclose(one.delta_e_loo, other.delta_e_loo, atol=1e-6)
+
+
+@pytest.mark.parametrize("white_preserving", [False, True])
+def test_light_that_falls_off_across_the_chart_is_told_from_the_camera(reference, white_preserving):
+    places = np.stack([np.arange(24) % 6 / 5 - 0.5, np.arange(24) // 6 / 3 - 0.5], axis=-1)
+    light = np.exp(places @ [0.3, -0.2])
+    exact = fit_matrix(
+        reference.XYZ @ LUTHER.T * light[:, None],
+        reference,
+        rgb_from_xyz=RGB_FROM_XYZ,
+        white_preserving=white_preserving,
+    )
+    np.testing.assert_allclose(exact.shading, light, atol=1e-7)
+    np.testing.assert_allclose(exact.matrix, RGB_FROM_XYZ @ np.linalg.inv(LUTHER), atol=1e-6)
+    # A real camera: whatever it is, the fall-off changes nothing but the shading.
+    camera = patch_colours("A")
+    even = fit_matrix(camera, reference, rgb_from_xyz=RGB_FROM_XYZ, white_preserving=white_preserving)
+    uneven = fit_matrix(
+        camera * light[:, None], reference, rgb_from_xyz=RGB_FROM_XYZ, white_preserving=white_preserving
+    )
+    np.testing.assert_allclose(uneven.matrix, even.matrix, atol=1e-6)
+    np.testing.assert_allclose(uneven.shading, even.shading * light, atol=1e-6)
+    plain = fit_matrix(camera * light[:, None], reference, rgb_from_xyz=RGB_FROM_XYZ, shading="none")
+    assert plain.delta_e.mean() > even.delta_e.mean()
+    assert (plain.shading == 1).all()
+
+
+def test_a_chart_half_in_shadow_is_warned_about(reference):
+    shadow = np.exp(np.arange(24) % 6 / 5)
+    fit = fit_matrix(patch_colours("D65") * shadow[:, None], reference, rgb_from_xyz=RGB_FROM_XYZ)
+    assert any("the light on the chart differs" in warning for warning in fit.warnings)
+    assert fit_matrix(patch_colours("D65"), reference, rgb_from_xyz=RGB_FROM_XYZ).warnings == ()
 
 
 def test_a_real_camera_under_daylight_fits_as_well_as_the_literature_says(reference):
@@ -186,5 +218,7 @@ def test_too_few_patches_and_unknown_settings_are_refused(reference):
         fit_matrix(camera[1:], reference, rgb_from_xyz=RGB_FROM_XYZ)
     with pytest.raises(CalibrateError, match=r"correct\.weighting: 'log'"):
         fit_matrix(camera, reference, rgb_from_xyz=RGB_FROM_XYZ, weighting="log")  # type: ignore[arg-type]
+    with pytest.raises(CalibrateError, match=r"correct\.shading: 'cubic'"):
+        fit_matrix(camera, reference, rgb_from_xyz=RGB_FROM_XYZ, shading="cubic")  # type: ignore[arg-type]
     with pytest.raises(CalibrateError, match=r"correct\.white: 'grey'"):
         fit_matrix(camera, reference, rgb_from_xyz=RGB_FROM_XYZ, white="grey")  # type: ignore[arg-type]
