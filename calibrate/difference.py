@@ -15,9 +15,7 @@ D65_XYZ.setflags(write=False)
 _CHROMA_7 = 25.0**7
 
 
-def lab_from_xyz(
-    xyz: npt.NDArray[np.float64], white_xyz: npt.NDArray[np.float64] = D65_XYZ
-) -> npt.NDArray[np.float64]:
+def lab_from_xyz(xyz: npt.NDArray[np.float64], white_xyz: npt.NDArray[np.float64] = D65_XYZ) -> npt.NDArray[np.float64]:
     """Return CIELAB of `xyz` [..., 3] relative to `white_xyz` [3] (both with the same scale of Y).
 
     Negative values take the linear part of the curve, so a colour outside the spectrum locus keeps its order.

@@ -364,7 +364,7 @@ def _warnings(uses: Sequence[FrameUse], lost: int, defects: int, pixels: int) ->
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _gather(  # noqa: PLR0917 - numba takes no keywords
+def _gather(
     raw: npt.NDArray[np.uint16],
     black: npt.NDArray[np.float64],
     white: npt.NDArray[np.float64],
@@ -387,7 +387,7 @@ def _gather(  # noqa: PLR0917 - numba takes no keywords
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _weigh(  # noqa: PLR0917 - numba takes no keywords
+def _weigh(
     raw: npt.NDArray[np.uint16],
     black: npt.NDArray[np.float64],
     white: npt.NDArray[np.float64],
@@ -441,7 +441,7 @@ def _level(mosaic: Plane, y: int, x: int, ceiling: float) -> float:  # pragma: n
 
 
 @njit(cache=True, error_model="numpy")
-def _stands_alone(  # noqa: PLR0917 - numba takes no keywords
+def _stands_alone(
     mosaic: Plane,
     weights: Plane,
     ceiling: float,
@@ -479,7 +479,7 @@ def _stands_alone(  # noqa: PLR0917 - numba takes no keywords
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _mark_defects(  # noqa: PLR0917 - numba takes no keywords
+def _mark_defects(
     mosaic: Plane,
     weights: Plane,
     ceiling: float,

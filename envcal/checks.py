@@ -22,7 +22,11 @@ def check_frames(loaded: Loaded) -> list[str]:
             except EnvcalError as error:
                 mistakes.append(str(error))
         try:
-            warnings += [f"{shot}: {text}" for text in check_bracket(infos, mixed_iso=loaded.settings.merge.mixed_iso)] if infos else []
+            warnings += (
+                [f"{shot}: {text}" for text in check_bracket(infos, mixed_iso=loaded.settings.merge.mixed_iso)]
+                if infos
+                else []
+            )
         except CalibrateError as error:
             mistakes.append(str(error))
     if mistakes:

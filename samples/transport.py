@@ -1,4 +1,4 @@
-# ruff: noqa: PLR0912, PLR0917 - kernels take their scalars one by one: numba has no keyword-only arguments
+# ruff: noqa: PLR0912 - kernels take their scalars one by one: numba has no keyword-only arguments
 """Light in a place made of boxes and spheres: ray casting, soft direct light, gathered indirect light.
 
 Every surface is Lambertian, every lamp a uniform Lambertian emitter, so light transport splits into geometry

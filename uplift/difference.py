@@ -72,7 +72,7 @@ def _compressed(x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _ciede2000(L1, a1, b1, L2, a2, b2):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def _ciede2000(L1, a1, b1, L2, a2, b2):  # type: ignore[no-untyped-def]
     """Sharma, Wu and Dalal (2005), equations 2 to 22, all weights one; angles in degrees."""
     mean_C = (np.hypot(a1, b1) + np.hypot(a2, b2)) / 2.0
     ratio = mean_C**7 / (mean_C**7 + 25.0**7)

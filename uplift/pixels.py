@@ -127,7 +127,7 @@ def uplift_pixels(rgb: npt.NDArray[np.floating], cluster: npt.NDArray[np.integer
     return recorded(rgb, coefficients, scale, emission, status, emissions, observer=first.observer, space=first.space)
 
 
-def recorded(  # noqa: PLR0917
+def recorded(
     rgb: npt.NDArray[np.floating],
     coefficients: Float64,
     scale: Float64,
@@ -240,7 +240,7 @@ def _relative(axes, r, g, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _reach(weights, t, nodes, solved, cone, G0, G1, G2, y, darkest):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def _reach(weights, t, nodes, solved, cone, G0, G1, G2, y, darkest):  # type: ignore[no-untyped-def]
     """Return (c0, c1, c2, level) for a colour of luminance `y` whose largest component is 1; level 0 if out of
     reach.
     """
@@ -257,7 +257,7 @@ def _reach(weights, t, nodes, solved, cone, G0, G1, G2, y, darkest):  # type: ig
 
 
 @njit(cache=True, error_model="numpy")
-def _entry(cone, axes, luminance, r, g, b):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def _entry(cone, axes, luminance, r, g, b):  # type: ignore[no-untyped-def]
     """Return the share of its light's white at which a colour of positive luminance, mixed with it, enters the
     cone.
     """
@@ -274,7 +274,7 @@ def _entry(cone, axes, luminance, r, g, b):  # type: ignore[no-untyped-def]  # n
 
 
 @njit(cache=True, error_model="numpy")
-def _mixture(weights, t, nodes, solved, cone, axes, luminance, share, r, g, b):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def _mixture(weights, t, nodes, solved, cone, axes, luminance, share, r, g, b):  # type: ignore[no-untyped-def]
     """Return (c0, c1, c2, level, largest) of a colour mixed with `share` of its light's white, and the least more."""
     G0 = axes[0, 0] * r + axes[0, 1] * g + axes[0, 2] * b
     G1 = axes[1, 0] * r + axes[1, 1] * g + axes[1, 2] * b
@@ -296,7 +296,7 @@ def _mixture(weights, t, nodes, solved, cone, axes, luminance, share, r, g, b): 
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def _uplift(  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def _uplift(  # type: ignore[no-untyped-def]
     rgb,
     cluster,
     axes,

@@ -77,7 +77,7 @@ def rgb_of(
 _Flat = tuple[Float64, Float64, npt.NDArray[np.int64]]
 
 
-def _flat(  # noqa: PLR0917
+def _flat(
     place: str,
     coefficients: npt.NDArray[np.floating],
     scale: npt.NDArray[np.floating],
@@ -115,7 +115,7 @@ def _sigmoid(x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def _radiance(coefficients, scale, index, sampled, wavelengths, out):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def _radiance(coefficients, scale, index, sampled, wavelengths, out):  # type: ignore[no-untyped-def]
     for p in prange(scale.size):
         c0, c1, c2 = coefficients[p, 0], coefficients[p, 1], coefficients[p, 2]
         for i in range(wavelengths.size):
@@ -124,7 +124,7 @@ def _radiance(coefficients, scale, index, sampled, wavelengths, out):  # type: i
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def _sum(coefficients, scale, index, responses, wavelengths, rgb_from_xyz, out):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def _sum(coefficients, scale, index, responses, wavelengths, rgb_from_xyz, out):  # type: ignore[no-untyped-def]
     for p in prange(scale.size):
         c0, c1, c2 = coefficients[p, 0], coefficients[p, 1], coefficients[p, 2]
         X = Y = Z = 0.0

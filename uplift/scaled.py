@@ -59,7 +59,7 @@ def uplift_scaled(
 
 
 @njit(cache=True, error_model="numpy", fastmath=SUMS)
-def _normal_equations(weights, u, c0, c1, c2, g0, g1, g2):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def _normal_equations(weights, u, c0, c1, c2, g0, g1, g2):  # type: ignore[no-untyped-def]
     """Return half the squared residual, the gradient Jᵀr and the six different elements of JᵀJ."""
     r0, r1, r2 = g0, g1, g2
     a0 = a1 = a2 = b0 = b1 = b2 = e0 = e1 = e2 = 0.0
@@ -111,7 +111,7 @@ def _marquardt(weights, u, g0, g1, g2):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def _fit(rgb, weights, u, factor, coefficients, scale, status):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def _fit(rgb, weights, u, factor, coefficients, scale, status):  # type: ignore[no-untyped-def]
     width = rgb.shape[1]
     for index in prange(rgb.shape[0] * width):
         row, column = index // width, index % width

@@ -114,7 +114,7 @@ def integrals(weights, t, c0, c1, c2):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", fastmath=SUMS)
-def solve(weights, t, g0, g1, g2, c0, c1, c2, aim, most_steps):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def solve(weights, t, g0, g1, g2, c0, c1, c2, aim, most_steps):  # type: ignore[no-untyped-def]
     """Return (c0, c1, c2, error) with Σ weights · S = (g0, g1, g2), by damped Newton steps from (c0, c1, c2).
 
     `error` is the largest of the three residuals' magnitudes. Near a solution Newton's error obeys e' ≈ C

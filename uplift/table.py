@@ -144,7 +144,7 @@ def _hull(points: Float64) -> list[int]:
 
 
 @njit(cache=True, error_model="numpy", fastmath=SUMS)
-def _walk(weights, t, g0, g1, g2, c0, c1, c2, aim, tolerance):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def _walk(weights, t, g0, g1, g2, c0, c1, c2, aim, tolerance):  # type: ignore[no-untyped-def]
     """Return (c0, c1, c2, error) with Σ weights · S = g: Newton's method, or a walk in a straight line from c's
     colour.
     """
@@ -167,7 +167,7 @@ def _walk(weights, t, g0, g1, g2, c0, c1, c2, aim, tolerance):  # type: ignore[n
 
 
 @njit(cache=True, error_model="numpy", fastmath=SUMS)
-def approach(weights, t, d0, d1, d2, level, c0, c1, c2, tolerance, darkest):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def approach(weights, t, d0, d1, d2, level, c0, c1, c2, tolerance, darkest):  # type: ignore[no-untyped-def]
     """Return (c0, c1, c2, error, level) with Σ weights · S = level · (d0, d1, d2), darkened until it can be solved.
 
     At each level the way begins at (c0, c1, c2), and if that leads nowhere at grey, whose curvature misleads
@@ -210,7 +210,7 @@ def permuted(m, largest, second, third):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _node(weights, t, cone, nodes, solved, m, i, j, from_i, from_j, top):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def _node(weights, t, cone, nodes, solved, m, i, j, from_i, from_j, top):  # type: ignore[no-untyped-def]
     """Solve one node, starting from a neighbour and a little brighter than it, at most at `top`."""
     n = nodes.shape[1]
     d0, d1, d2 = permuted(m, 1.0, i / (n - 1), j / (n - 1))
