@@ -1,0 +1,81 @@
+"""The search for the module: the region with the best score, and the refusals where no region will do."""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from calibrate import CalibrateError
+from calibrate.lamp.reading import MOST_CLIPPED, Image, Lamp, Mask, Points, read_region
+from calibrate.lamp.regions import overlap, regions_of
+
+_LEAST_SCORE: Final = 0.02
+_CLOSE_RUNNER_UP: Final = 0.5
+
+
+def find_lamp(
+    image: Image,
+    *,
+    chart_corners: Points,
+    xyz_from_rgb: npt.NDArray[np.float64],
+    clipped: Mask | None = None,
+    latlong: bool = False,
+) -> Lamp:
+    """Return the D65 module in `image` [H, W, 3], corrected working RGB (1.0 = perfect white at the chart).
+
+    Parameters
+    ----------
+    chart_corners
+        Shape (4, 2), px. The chart itself is left out, and gives the scale of sizes and distances.
+    xyz_from_rgb
+        Shape (3, 3). The working space.
+    clipped
+        Shape (H, W). Pixels that are clipped; NaN counts as clipped as well.
+    latlong
+        x wraps at the image's width.
+
+    Raises
+    ------
+    CalibrateError
+        If nothing looks like the module, or it is clipped in more than 30 % of its pixels.
+    """
+    chart = np.asarray(chart_corners, dtype=np.float64)
+    width = image.shape[1]
+    # The chart in the middle of a map, so that the seam is far from what stands beside it.
+    shift = round(width / 2 - float(chart[:, 0].mean())) if latlong else 0
+    seen = np.roll(image, shift, axis=1) if shift else image
+    lost: Mask = np.asarray(~np.isfinite(seen).all(axis=2))
+    if clipped is not None:
+        lost = lost | np.roll(clipped, shift, axis=1)
+    offset = np.array([float(shift), 0.0])
+    regions = regions_of(seen, lost, chart + offset, np.asarray(xyz_from_rgb, dtype=np.float64))
+    usable = [region for region in regions if region.clipped <= MOST_CLIPPED and region.score >= _LEAST_SCORE]
+    spoilt = [region for region in regions if region.clipped > MOST_CLIPPED and region.score >= _LEAST_SCORE]
+    best = max(usable, key=lambda region: region.score, default=None)
+    worst = max(spoilt, key=lambda region: region.score, default=None)
+    if worst is not None and (best is None or worst.score > best.score):
+        x, y = worst.polygon.mean(axis=0) - offset
+        raise CalibrateError(
+            f"balance.lamp: what looks like the lamp, at ({x:.0f}, {y:.0f}), is clipped in {worst.clipped:.0%} of its pixels; "
+            f"at most {MOST_CLIPPED:.0%} may be. Add a shorter exposure to the bracket, or set `balance.lamp` to a "
+            "rectangle on another lamp of known colour."
+        )
+    if best is None:
+        score = max((region.score for region in regions), default=0.0)
+        raise CalibrateError(
+            "balance.lamp: no region looks like a D65 module (compact, of one colour, on the curve of D65 seen from "
+            f"another light, brighter than its surround; best score {score:.3f}, least {_LEAST_SCORE}). Set "
+            "`balance.lamp` to a rectangle [x, y, width, height] inside the module."
+        )
+    runner_up = max((r.score for r in usable if not overlap(r, best)), default=0.0)
+    lamp = read_region(seen, best, xyz_from_rgb=xyz_from_rgb, clipped=lost, latlong=False)
+    warnings = lamp.warnings
+    if runner_up > _CLOSE_RUNNER_UP * best.score:
+        other = max((r for r in usable if not overlap(r, best)), key=lambda region: region.score)
+        x, y = other.polygon.mean(axis=0) - offset
+        warnings += (
+            f"balance.lamp: another region, at ({x:.0f}, {y:.0f}), scores {runner_up:.2f} against {best.score:.2f} of the one "
+            "taken. Look at the report; if it is the wrong one, set `balance.lamp` to a rectangle inside the module.",
+        )
+    return replace(lamp, polygon=lamp.polygon - offset, score=best.score, runner_up=runner_up, warnings=warnings)
