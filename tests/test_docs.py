@@ -231,6 +231,7 @@ def made_up_profile():
         camera_rgb=(0.1, 0.2, 0.1),
         noise=(0.001, 0.001, 0.001),
         pixels=9,
+        light=1.0,
         target_rgb=(0.2, 0.1, 0.1),
         fitted_rgb=(0.2, 0.1, 0.1),
         delta_e=1.0,
