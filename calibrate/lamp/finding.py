@@ -58,15 +58,15 @@ def find_lamp(
         x, y = worst.polygon.mean(axis=0) - offset
         raise CalibrateError(
             f"balance.lamp: what looks like the lamp, at ({x:.0f}, {y:.0f}), is clipped in {worst.clipped:.0%} of its pixels; "
-            f"at most {MOST_CLIPPED:.0%} may be. Add a shorter exposure to the bracket, or set `balance.lamp` to a "
-            "rectangle on another lamp of known colour."
+            f"at most {MOST_CLIPPED:.0%} may be. Add a shorter exposure to the bracket, or set "
+            "`balance.lamp: {rectangle: [x, y, width, height]}` on another lamp of known colour."
         )
     if best is None:
         score = max((region.score for region in regions), default=0.0)
         raise CalibrateError(
             "balance.lamp: no region looks like a D65 module (compact, of one colour, on the curve of D65 seen from "
             f"another light, brighter than its surround; best score {score:.3f}, least {_LEAST_SCORE}). Set "
-            "`balance.lamp` to a rectangle [x, y, width, height] inside the module."
+            "`balance.lamp: {rectangle: [x, y, width, height]}` to pixels inside the module."
         )
     runner_up = max((r.score for r in usable if not overlap(r, best)), default=0.0)
     lamp = read_region(seen, best, xyz_from_rgb=xyz_from_rgb, clipped=lost, latlong=False)
