@@ -162,9 +162,9 @@ def merge(frames: Sequence[Path], out: Path, as_json: bool) -> None:
     metavar="X,Y,X,Y,X,Y,X,Y",
     help="The chart's corners in pixels instead of a search: top left (dark skin), top right, bottom right, bottom left.",
 )
-@click.option("--space", type=click.Choice(SPACES), default=SPACES[0], show_default=True, help="Working RGB space.")
+@click.option("--space", type=click.Choice(SPACES), help=f"Working RGB space of a new profile (default: {SPACES[0]}).")
 @_json
-def correct(merged: Path, out: Path, profile: Path | None, chart: str | None, space: str, as_json: bool) -> None:
+def correct(merged: Path, out: Path, profile: Path | None, chart: str | None, space: str | None, as_json: bool) -> None:
     """Find the colour chart in MERGED and correct the colours by it, or apply a profile.
 
     A profile found here is written beside the output, as OUT.profile.json.
@@ -174,9 +174,13 @@ def correct(merged: Path, out: Path, profile: Path | None, chart: str | None, sp
     from envcal.steps.correct import calibrate_on_chart
     from envcal.steps.correct import correct as work
 
+    if profile is not None and (chart is not None or space is not None):
+        raise click.UsageError(
+            "--chart and --space belong to a new calibration; a profile brings its own matrix and space."
+        )
     settings = CorrectSettings() if chart is None else CorrectSettings(chart=_corners(chart))
     if profile is None:
-        found = calibrate_on_chart(merged, settings, space)
+        found = calibrate_on_chart(merged, settings, space or SPACES[0])
         found.write(out.with_suffix(".profile.json"))
     else:
         found = profiles.read(profile)
@@ -210,6 +214,8 @@ def balance(corrected: Path, out: Path, profile: Path | None, lamp: str | None, 
     from envcal.steps.balance import balance as work
     from envcal.steps.balance import calibrate_on_lamp
 
+    if profile is not None and lamp is not None:
+        raise click.UsageError("--lamp belongs to the search for the lamp; a profile brings its own gains.")
     settings = BalanceSettings() if lamp is None else BalanceSettings(lamp=LampRectangle(rectangle=_rectangle(lamp)))
     if profile is None:
         found = calibrate_on_lamp(corrected, settings)

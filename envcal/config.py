@@ -83,7 +83,7 @@ class MergeSettings(Settings):
     """RAW bracket → radiance in camera RGB."""
 
     gain_e_per_dn: Annotated[float, Field(gt=0, le=1000)] | None = None
-    """Electrons per raw count. Left out: guessed from bit depth and ISO; it only ranks the weights of the frames."""
+    """Electrons per raw count. Left out: guessed from the levels and ISO; it only ranks the weights of the frames."""
     read_noise_e: Annotated[float, Field(gt=0, le=1000)] | None = None
     """Read noise in electrons. Left out: 3."""
     mixed_iso: bool = False
@@ -96,13 +96,20 @@ class CorrectSettings(Settings):
     """Chart found in the reference → camera RGB to working RGB."""
 
     chart: Literal["auto"] | tuple[Pixel, Pixel, Pixel, Pixel] = "auto"
-    """`auto`, or the chart's corners in pixels: top left (dark skin), top right, bottom right, bottom left."""
+    """`auto`, or the chart's corners in pixels: top left (dark skin), top right, bottom right, bottom left; the
+    corners of the box around the patches with the width of one gap about them."""
     reference: Literal["ColorChecker24 - After November 2014", "ColorChecker24 - Before November 2014"] = (
         "ColorChecker24 - After November 2014"
     )
     """The published data of the chart's patches."""
     fit: Literal["linear", "white-preserving"] = "linear"
-    """3×3 matrix by least squares, or the same with the white patch met exactly."""
+    """3×3 matrix by least squares, or the same with a white met exactly."""
+    white: Literal["patch", "neutrals"] = "patch"
+    """The white that a white-preserving fit meets: the white patch, or the mean of the six neutral ones."""
+    weighting: Literal["linear", "lightness"] = "linear"
+    """What the fit makes small: errors of radiance, or errors as CIELAB counts them, which favours dark patches."""
+    shading: Literal["plane", "none"] = "plane"
+    """Whether the light may fall off across the chart; the fall-off is estimated with the matrix."""
 
 
 class LampRectangle(Settings):
@@ -127,8 +134,8 @@ class BalanceSettings(Settings):
     transform: Literal["CAT16", "Bradford", "CAT02", "Von Kries", "XYZ Scaling", "RGB"] = "CAT16"
     """The cone space in which the gains act."""
     luminance: Literal["lamp", "keep"] = "lamp"
-    """`lamp`: the lamp reads exactly (1, 1, 1). `keep`: only its colour becomes white; 1 stays a white diffuser at
-    the chart."""
+    """`lamp`: the lamp reads exactly as D65 of luminance 1, which is (1, 1, 1) where the working space's white is D65.
+    `keep`: only its colour becomes that of D65; 1 stays a white diffuser at the chart."""
 
 
 class PanoramaSettings(Settings):
@@ -208,6 +215,7 @@ class Pipeline(Settings):
     observer: Literal["CIE 1931 2 Degree Standard Observer", "CIE 1964 10 Degree Standard Observer"] = (
         "CIE 1931 2 Degree Standard Observer"
     )
+    """The observer under whom spectra have the map's colours."""
     merge: MergeSettings = MergeSettings()
     correct: CorrectSettings = CorrectSettings()
     balance: BalanceSettings = BalanceSettings()

@@ -43,6 +43,8 @@ class Patch(_Part):
     noise: Row
     """Standard error of the mean."""
     pixels: int
+    light: float
+    """Light on the patch; the geometric mean over the chart is 1."""
     target_rgb: Row
     """Published colour under D65 in linear working RGB."""
     fitted_rgb: Row
@@ -86,6 +88,7 @@ class Lamp(_Part):
 class Profile(_Part):
     """Camera RGB → working RGB, and how it was found."""
 
+    format: Literal[1] = 1
     envcal: str = __version__
     working_space: str
     camera: Camera

@@ -64,7 +64,7 @@ def calibrate_on_lamp(corrected: Path, settings: BalanceSettings) -> Profile:
 
 
 def balance(corrected: Path, out: Path, settings: BalanceSettings, profile: Profile) -> Outcome:
-    """Write `corrected` balanced by the profile's lamp to `out`; the lamp reads (1, 1, 1)."""
+    """Write `corrected` balanced by the profile's lamp to `out`; the lamp reads as D65, (1, 1, 1) in most spaces."""
     from calibrate.correct import apply_matrix
 
     if profile.lamp is None or profile.balance_matrix is None:
@@ -97,11 +97,10 @@ def balance(corrected: Path, out: Path, settings: BalanceSettings, profile: Prof
         "transform": profile.lamp.transform,
     }
     r, g, b = profile.lamp.rgb
+    now = ", ".join(f"{v:.4g}" for v in lamp_now)
     summary = (
-        f"lamp of {profile.lamp.pixels} pixels at ({r:.3f}, {g:.3f}, {b:.3f}) → (1, 1, 1) in {profile.lamp.transform}"
+        f"lamp of {profile.lamp.pixels} pixels at ({r:.3f}, {g:.3f}, {b:.3f}) → ({now}) in {profile.lamp.transform}"
     )
-    if profile.lamp.luminance == "keep":
-        summary = summary.replace("→ (1, 1, 1)", "→ white, luminance kept,")
     return Outcome(summary, figures, [f"{out.stem}: {t}" for t in mismatches(profile, Camera.model_validate(camera))])
 
 

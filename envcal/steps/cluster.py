@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -67,8 +67,9 @@ def cluster(
         sky=sky.present,
         lights=[record(light) for light in found.lights],
     )
+    measured = [light.spd for light in declared if light.spd is not None]
     attributes = {
-        **provenance.attributes("cluster", settings=settings.model_dump(mode="json"), inputs=[source.path]),
+        **provenance.attributes("cluster", settings=_told(settings, declared), inputs=[source.path, *measured]),
         **provenance.colour_space(source.space),
         "envmap": True,
         "envcalLights": lights.model_dump(mode="json"),
@@ -83,6 +84,12 @@ def cluster(
         "lights": [light.model_dump(mode="json", exclude={"emission"}) for light in lights.lights],
     }
     return Outcome(summary(lights.lights), figures, found.warnings)
+
+
+def _told(settings: ClusterSettings, declared: Sequence[DeclaredLight]) -> dict[str, Any]:
+    """The settings with the lights that were declared, files by name only: a path would differ between machines."""
+    lights = [light.model_dump(mode="json") | {"spd": light.spd and light.spd.name} for light in declared]
+    return settings.model_dump(mode="json") | {"lights": lights}
 
 
 def _declared(light: DeclaredLight, seen: Observer) -> Declared:

@@ -35,6 +35,9 @@ def calibrate_on_chart(merged: Path, settings: CorrectSettings, working_space: s
         reference,
         rgb_from_xyz=rgb_space(working_space).rgb_from_xyz,
         white_preserving=settings.fit == "white-preserving",
+        white=settings.white,
+        weighting=settings.weighting,
+        shading=settings.shading,
     )
     return Profile(
         working_space=working_space,
@@ -54,6 +57,7 @@ def calibrate_on_chart(merged: Path, settings: CorrectSettings, working_space: s
                     camera_rgb=row(patches.rgb[k]),
                     noise=row(patches.noise[k]),
                     pixels=int(patches.pixels[k]),
+                    light=float(fit.shading[k]),
                     target_rgb=row(fit.target_rgb[k]),
                     fitted_rgb=row(fit.fitted_rgb[k]),
                     delta_e=float(fit.delta_e[k]),

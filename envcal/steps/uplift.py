@@ -150,7 +150,7 @@ class Tally:
         self._seen, self._space = seen, space
         self._counts = dict.fromkeys(Status, 0)
         self._sum = self._sum_stored = self._worst = self._worst_stored = self._shift = 0.0
-        self._nan = 0
+        self._nan = self._darkened = 0
 
     def add(self, rgb: Image, solved: Uplifted) -> None:
         """Take a tile into account."""
@@ -161,6 +161,7 @@ class Tally:
         for status, count in solved.counts.items():
             self._counts[status] += count
         self._shift = max(self._shift, solved.largest_shift)
+        self._darkened += int(((solved.status == Status.CLOSEST) & (solved.scale == 0)).sum())
         kept = (solved.status == Status.EXACT) | (solved.status == Status.FALLBACK)
         if not kept.any():
             return
@@ -192,6 +193,7 @@ class Tally:
             "round_trip_delta_e_stored": {"mean": self._sum_stored / kept, "max": self._worst_stored},
             "round_trip_nan": self._nan,
             "largest_shift_delta_e": self._shift,
+            "darkened": self._darkened,
         }
         summary = f"round trip ΔE2000 at most {self._worst:.1e} ({self._worst_stored:.1e} as stored)"
         others = [f"{count} {status.name.lower()}" for status, count in self._counts.items() if count and status]
@@ -203,8 +205,9 @@ class Tally:
             )
         if self._counts[Status.CLOSEST]:
             warnings.append(
-                f"{self._counts[Status.CLOSEST]} of {pixels} pixels have colours that no light can show (noise or a poor "
-                f"chart fit, as a rule); they moved by up to ΔE2000 {self._shift:.3g}."
+                f"{self._counts[Status.CLOSEST]} of {pixels} pixels have colours that no light can show (noise, "
+                f"coloured fringes at the rims of lamps, a poor chart fit); they moved by up to ΔE2000 {self._shift:.3g}, and "
+                f"{self._darkened} of them, of negative luminance, became black. Look where they are in the report."
             )
         if self._counts[Status.MISSING]:
             warnings.append(

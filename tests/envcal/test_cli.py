@@ -68,6 +68,8 @@ def test_wrong_usage_is_status_2():
     assert envcal("spectra", "a.exr", "-o", "b.exr", "--wavelengths", "400").exit_code == 2
     assert envcal("correct", "a.exr", "-o", "b.exr", "--chart", "1,2,3").exit_code == 2
     assert envcal("balance", "a.exr", "-o", "b.exr", "--lamp", "1,2,3").exit_code == 2
+    assert envcal("correct", "a.exr", "-o", "b.exr", "--profile", "p.json", "--space", "sRGB").exit_code == 2
+    assert envcal("balance", "a.exr", "-o", "b.exr", "--profile", "p.json", "--lamp", "1,2,3,4").exit_code == 2
 
 
 @pytest.mark.parametrize("command", ["merge", "correct", "balance", "panorama", "cluster", "uplift", "spectra"])

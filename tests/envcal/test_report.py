@@ -66,6 +66,7 @@ def chart_profile(width: int = WIDTH) -> Profile:
                 camera_rgb=tuple(0.6 * target),
                 noise=(1e-4, 1e-4, 2e-4),
                 pixels=40,
+                light=1.0,
                 target_rgb=tuple(target),
                 fitted_rgb=tuple(target * rng.uniform(0.95, 1.05, 3)),
                 delta_e=float(rng.uniform(0.3, 3)) if k != 7 else 5.25,
