@@ -113,7 +113,7 @@ def _record(candidate: Candidate, view: View | None) -> ChartFound:
 
 def _search_picture(image: npt.NDArray[np.float32], reference: ChartReference) -> tuple[Candidate | None, View | None]:
     long_side = max(image.shape[:2])
-    sides = [side for side in _LONG_SIDES if side < long_side] + [long_side]
+    sides = [side for side in _LONG_SIDES if side < 0.85 * long_side] + [long_side]
     best: Candidate | None = None
     for side in sides:
         # Large pictures are slow; what two smaller sizes at every turn did not show gets one round.

@@ -1,5 +1,6 @@
 import functools
 
+import cv2
 import numpy as np
 import pytest
 
@@ -231,3 +232,15 @@ def test_dependent_samples_enlarge_the_standard_error():
     plain = measure_patches(image, quad)
     bayer = measure_patches(image, quad, independent=(0.25, 0.5, 0.25))
     np.testing.assert_allclose(bayer.noise / plain.noise, [[2, np.sqrt(2), 2]], rtol=1e-6)
+
+
+def test_the_answer_does_not_depend_on_the_number_of_threads_or_on_what_was_searched_before():
+    threads = cv2.getNumThreads()
+    try:
+        found = []
+        for count in (1, 3):
+            cv2.setNumThreads(count)
+            found.append(find_chart(picture("D65")).corners.tobytes())
+    finally:
+        cv2.setNumThreads(threads)
+    assert len(set(found)) == 1
