@@ -60,8 +60,8 @@ class Module:
     spectrum: str = "D65 module"
 
 
-CEILING = Lamp("ceiling panel", "LED-B4", "panel", (1.0, 2.585, 0.90), (1.2, 0.6), 4000.0)
-STANDING = Lamp("standing globe", "A", "globe", (-1.93, 1.43, -1.42), (0.14,), 5600.0)
+CEILING = Lamp("ceiling panel", "LED-B4", "panel", (1.0, 2.585, 0.90), (1.2, 0.6), 2000.0)
+STANDING = Lamp("standing globe", "A", "globe", (-1.30, 1.43, 1.50), (0.14,), 7000.0)
 TUBE = Lamp("tube", "FL2", "panel", (1.9, 1.95, -2.2), (0.9, 0.08), 5000.0)
 TWO_LAMPS = (CEILING, STANDING)
 THREE_LAMPS = (CEILING, STANDING, TUBE)

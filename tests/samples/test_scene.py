@@ -79,7 +79,8 @@ def test_nothing_shines_through_the_chart() -> None:
 
 def test_a_closed_grey_room_absorbs_the_flux_of_its_lamp() -> None:
     albedo = 0.5
-    place = Room(lamps=(STANDING,), chart=None, module=None, furniture=False, grey=albedo, bounces=30)
+    lamp = replace(STANDING, centre=(-1.93, 1.43, -1.42))
+    place = Room(lamps=(lamp,), chart=None, module=None, furniture=False, grey=albedo, bounces=30)
     scene = build(place)
     places, _ = _nodes(scene.geometry)
     grid, half = int(scene.geometry.grids[0]), scene.geometry.boxes[0][12:15]

@@ -217,3 +217,16 @@ def test_the_map_is_not_changed():
     before = image.copy()
     clusters_of(image)
     np.testing.assert_array_equal(image, before)
+
+
+def test_a_light_is_placed_in_its_lamp_and_not_on_the_rim_of_a_brighter_one():
+    """A rim mixes colours: single pixels there may have the other lamp's colour and be brighter than that lamp."""
+    height, width = 256, 512
+    image = np.full((height, width, 3), 0.05, np.float32)
+    image[40:80, 60:140] = [1.0, 1.0, 1.25]
+    image[120:140, 300:320] = [40.0, 24.0, 10.0]
+    image[120:140:3, 320] = [16.0, 16.0, 20.0]
+    found = cluster_angles(image, luminance_weights=SPACE.luminance_weights, xyz_from_rgb=SPACE.xyz_from_rgb)
+    places = {(40 <= v * height < 80 and 60 <= u * width < 140, 120 <= v * height < 140) for u, v in found.at}
+    assert found.count == 2
+    assert places == {(True, False), (False, True)}

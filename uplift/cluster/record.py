@@ -71,6 +71,17 @@ def nothing(image: Image, warning: str) -> Clusters:
     )
 
 
+def _brightest_region(luminance: Floats, mine: Bools) -> int:
+    """Flat index of the pixel about which most of a cluster's own light stands within a hundredth of the map's width.
+
+    A single pixel will not do: the rim of a lamp of another colour has pixels of any colour, brighter than most lamps.
+    """
+    reach = max(1, luminance.shape[1] // 100)
+    wrapped = np.pad(np.where(mine, luminance, 0.0), ((0, 0), (reach, reach)), mode="wrap")
+    own = cv2.blur(wrapped, (2 * reach + 1, 2 * reach + 1), borderType=cv2.BORDER_REPLICATE)[:, reach:-reach]
+    return int(np.argmax(np.where(mine, own, -1.0)))
+
+
 def described(
     image: Image,
     view: View,
@@ -94,12 +105,10 @@ def described(
     label = np.full((height, width), -1)
     label[lit] = np.argsort(order)[nearest]
     speaks = label.ravel()[found.place]
-    smooth = cv2.blur(view.luminance, (3, 3), borderType=cv2.BORDER_REPLICATE)
-
     rows: list[_Described] = []
     for one in range(len(centres)):
         mine = label == one
-        place = int(np.argmax(np.where(mine, smooth, -1.0)))
+        place = _brightest_region(view.luminance, mine)
         evidence = speaks == one
         if evidence.any():
             colours, weight, direct = found.rgb[evidence], found.weight[evidence], found.direct
