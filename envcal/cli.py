@@ -5,8 +5,12 @@ Everything heavy is imported inside the commands, so that `envcal --help` answer
 
 from __future__ import annotations
 
+import atexit
 import json
+import os
+import shutil
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -25,6 +29,8 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 STAGE_NAMES = ("merge", "correct", "balance", "panorama", "cluster", "uplift", "spectra", "report")
 SPACES = ("ITU-R BT.2020", "sRGB", "P3-D65", "ACEScg", "ACES2065-1", "Adobe Wide Gamut RGB")
 INDOOR = ("auto", "led", "fluorescent", "incandescent")
+#: What shells expect of a program that was stopped by Ctrl-C.
+INTERRUPTED = 130
 FILE = click.Path(path_type=Path)
 
 
@@ -32,13 +38,30 @@ class _Group(click.Group):
     """Turns a mistake in the input or in the settings into one message and exit status 1."""
 
     def invoke(self, ctx: click.Context) -> Any:
+        _let_numba_cache()
         try:
             return super().invoke(ctx)
+        except KeyboardInterrupt:
+            click.echo("envcal: stopped. Nothing is half-written; `envcal run` goes on where it stopped.", err=True)
+            ctx.exit(INTERRUPTED)
         except (EnvcalError, ValueError) as error:
             if not _is_ours(error):
                 raise
             click.echo(f"envcal: {error}" if "\n" not in str(error) else f"envcal: mistakes found:\n{error}", err=True)
             ctx.exit(1)
+
+
+def _let_numba_cache() -> None:
+    """Give numba a folder for its compiled code where neither the installation nor the home folder can be written.
+
+    Without one it refuses to work at all. The folder is this process's own, since what numba loads from it is code.
+    """
+    home = Path.home() if os.environ.get("HOME") or os.name == "nt" else None
+    writable = any(folder is not None and os.access(folder, os.W_OK) for folder in (Path(__file__).parent, home))
+    if "NUMBA_CACHE_DIR" not in os.environ and not writable:
+        folder = tempfile.mkdtemp(prefix="envcal-")
+        os.environ["NUMBA_CACHE_DIR"] = folder
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
 
 
 def _is_ours(error: Exception) -> bool:
@@ -56,8 +79,16 @@ def main() -> None:
     """
 
 
-def _output(suffix: str) -> Callable[[Command], Command]:
-    return click.option("-o", "--output", "out", required=True, type=FILE, help=f"Where to write the {suffix}.")
+def _exr_name(_context: click.Context, _option: click.Parameter, path: Path) -> Path:
+    if path.suffix.lower() != ".exr":
+        raise click.BadParameter(f"{path} does not end in .exr, and that is what is written there")
+    return path
+
+
+def _output(what: str) -> Callable[[Command], Command]:
+    return click.option(
+        "-o", "--output", "out", required=True, type=FILE, callback=_exr_name, help=f"Where to write the {what}."
+    )
 
 
 _json = click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON on stdout.")
@@ -107,7 +138,7 @@ def run(
     loaded = config.load(pipeline, overrides=overrides)
     reporter = Reporter(quiet=as_json)
     for name, value in changed_settings(loaded).items():
-        reporter.say(f"{name}: {json.dumps(value, ensure_ascii=False)}")
+        reporter.say(f"not the default: {name}: {json.dumps(value, ensure_ascii=False)}")
     record = run_pipeline(loaded, STAGES, reporter=reporter, until=until, first=first, force=force)
     if as_json:
         _print_json(record)
@@ -184,7 +215,7 @@ def correct(merged: Path, out: Path, profile: Path | None, chart: str | None, sp
         found.write(out.with_suffix(".profile.json"))
     else:
         found = profiles.read(profile)
-    outcome = work(merged, out, settings, found)
+    outcome = work(merged, out, settings, found, applied=None if profile is None else str(profile))
     _finish(_with_warnings(outcome, found.warnings if profile is None else []), as_json=as_json, out=out)
 
 
@@ -222,7 +253,7 @@ def balance(corrected: Path, out: Path, profile: Path | None, lamp: str | None, 
         found.write(out.with_suffix(".profile.json"))
     else:
         found = profiles.read(profile)
-    outcome = work(corrected, out, settings, found)
+    outcome = work(corrected, out, settings, found, applied=None if profile is None else str(profile))
     _finish(_with_warnings(outcome, found.warnings if profile is None else []), as_json=as_json, out=out)
 
 
@@ -320,8 +351,6 @@ def uplift(
     as_json: bool,
 ) -> None:
     """Give every pixel of MAP (.exr or .hdr, lat-long) a spectrum: three coefficients, a scale and its light."""
-    import tempfile
-
     from envcal.config import UpliftSettings
     from envcal.maps import read_map
     from envcal.reporter import Reporter

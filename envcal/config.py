@@ -25,6 +25,8 @@ MOST_BYTES = 1 << 20
 
 WorkingSpace = Literal["ITU-R BT.2020", "sRGB", "P3-D65", "ACEScg", "ACES2065-1", "Adobe Wide Gamut RGB"]
 LIGHT_TYPES = ("daylight", "sunset", "led", "fluorescent", "incandescent", "smooth")
+#: What else people call them.
+OTHER_NAMES = {"tungsten": "incandescent", "halogen": "incandescent", "bulb": "incandescent", "tube": "fluorescent"}
 #: Lamps whose spectra the CIE publishes, as colour-science names them.
 CIE_LAMP = re.compile(r"(FL([1-9]|1[0-2])|FL3\.([1-9]|1[0-5])|HP[1-5]|LED-(B[1-5]|BH1|RGB1|V1|V2))")
 Indoor = Literal["auto", "led", "fluorescent", "incandescent"]
@@ -50,7 +52,11 @@ def _wavelengths(text: str) -> str:
 
 def _light_type(text: str) -> str:
     if text not in LIGHT_TYPES and not CIE_LAMP.fullmatch(text):
-        near = difflib.get_close_matches(text, LIGHT_TYPES, n=1)
+        near = (
+            [OTHER_NAMES[text.lower()]]
+            if text.lower() in OTHER_NAMES
+            else difflib.get_close_matches(text, LIGHT_TYPES, n=1)
+        )
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise ValueError(f"{text!r} is no kind of light: {', '.join(LIGHT_TYPES)} or a CIE lamp such as FL11{hint}")
     return text

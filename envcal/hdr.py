@@ -35,4 +35,6 @@ def read_hdr(path: Path) -> tuple[npt.NDArray[np.float32], tuple[float, ...] | N
         raise EnvcalError(f"{path}: is truncated or damaged. Copy or make the file again.")
     primaries = re.search(rb"\nPRIMARIES=\s*((?:[-+.\deE]+\s+){7}[-+.\deE]+)\s*\n", start)
     named = None if primaries is None else tuple(float(v) for v in primaries[1].split())
+    if named is not None and min(named[1::2]) <= 0:
+        named = None  # some editors write zeros where they know nothing
     return np.ascontiguousarray(image[..., ::-1], dtype=np.float32), named

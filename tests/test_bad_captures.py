@@ -134,6 +134,48 @@ def test_a_damaged_profile_is_refused(good, tmp_path, change, message):
     assert not (tmp_path / "c.exr").exists()
 
 
+def test_a_shot_that_is_mostly_clipped_is_told_so_before_anything_else(tmp_path):
+    photograph(tmp_path, exposures=(Fraction(4), Fraction(16)))
+    done = envcal("run", pipeline(tmp_path))
+    assert done.exit_code == 1
+    assert "of the shot is clipped in every frame" in done.stderr
+    assert "shorter exposures" in done.stderr
+
+
+def test_a_profile_that_is_applied_does_not_pass_for_one_that_was_made_here(good, tmp_path):
+    envcal("run", pipeline(good))
+    profile = good / "output" / "balance" / "profile.json"
+    merged = good / "output" / "merge" / "reference.exr"
+    done = envcal("correct", merged, "-o", tmp_path / "c.exr", "--profile", profile)
+    assert "no chart was looked for" in done.stdout
+    done = envcal("balance", tmp_path / "c.exr", "-o", tmp_path / "b.exr", "--profile", profile)
+    assert "no lamp was looked for" in done.stdout
+
+
+def test_lights_that_may_not_be_what_they_are_taken_for_are_doubted(tmp_path):
+    """Two lamps: one is declared as what it is not, a dark corner is declared as if that moved it."""
+    image = np.full((128, 256, 3), 0.05, np.float32)
+    image[20:40, 30:70] = [9.0, 10.0, 11.0]
+    image[60:70, 150:160] = [40.0, 22.0, 9.0]
+    image[100:, :] *= np.float32([1.0, 0.9, 0.8])
+    attributes = provenance.colour_space("ITU-R BT.2020")
+    exr.write(tmp_path / "map.exr", exr.rgb_planes(image), attributes=attributes)
+    lights = tmp_path / "lights.yaml"
+
+    def found(text):
+        lights.write_text(f"lights: [{text}]\n")
+        done = envcal("cluster", tmp_path / "map.exr", "-o", tmp_path / "c.exr", "--lights", lights)
+        assert done.exit_code == 0, done.output
+        return done.stderr
+
+    assert found("{at: [0.2, 0.24], type: daylight}") == ""
+    assert "its spectrum has 2700 K" in found("{at: [0.2, 0.24], type: led, cct: 2700}")
+    assert "does not move a surface" in found("{at: [0.9, 0.9], type: led}")
+    image[0, 0] = np.nan
+    exr.write(tmp_path / "map.exr", exr.rgb_planes(image), attributes=attributes)
+    assert "lamps are the first to be" in found("{at: [0.2, 0.24], type: daylight}")
+
+
 def test_an_incomplete_profile_cannot_balance(good, tmp_path):
     envcal("run", pipeline(good))
     incomplete = good / "output" / "correct" / "profile.json"

@@ -22,6 +22,7 @@ LONGEST_MAP = 1600
 _NEAR = 0.02
 #: Below this a light's spectrum is a guess that a person should look at.
 LOW_CONFIDENCE = 0.5
+_EXACT, _FALLBACK = 0, 2
 _STATUS = ("exact", "black", "fallback", "closest", "missing")
 _FIRST_NOTABLE = 2
 _STATUS_COLOURS = ("#4a4a4a", "#000000", "#0072b2", "#e69f00", "#ff00c8")
@@ -224,7 +225,10 @@ def _pixel_spectra(
     named = {light.cluster: light for light in found.lights} if found and about.method == "constrained" else {}
     shown = []
     for k, emission in enumerate(emissions):
-        inside = np.flatnonzero((planes["cluster"].ravel() == k) & (planes["scale"].ravel() > 0) & (y.ravel() > 0))
+        solved = np.isin(planes["status"].ravel(), (_EXACT, _FALLBACK)) if "status" in planes else True
+        inside = np.flatnonzero(
+            (planes["cluster"].ravel() == k) & (planes["scale"].ravel() > 0) & (y.ravel() > 0) & solved
+        )
         if not inside.size:
             continue
         order = inside[np.argsort(y.ravel()[inside], kind="stable")]

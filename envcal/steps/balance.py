@@ -63,13 +63,15 @@ def calibrate_on_lamp(corrected: Path, settings: BalanceSettings) -> Profile:
     )
 
 
-def balance(corrected: Path, out: Path, settings: BalanceSettings, profile: Profile) -> Outcome:
+def balance(
+    corrected: Path, out: Path, settings: BalanceSettings, profile: Profile, *, applied: str | None = None
+) -> Outcome:
     """Write `corrected` balanced by the profile's lamp to `out`; the lamp reads as D65, (1, 1, 1) in most spaces."""
     from calibrate.correct import apply_matrix
 
     if profile.lamp is None or profile.balance_matrix is None:
         raise EnvcalError(
-            "the profile has no lamp balance yet. Run `envcal balance` on the reference shot without --profile: it "
+            f"{applied or 'the profile'}: has no lamp balance yet. Run `envcal balance` on the reference shot without --profile: it "
             "finds the lamp and writes the completed profile beside its output."
         )
     header, image, own = _read_corrected(corrected)
@@ -101,7 +103,11 @@ def balance(corrected: Path, out: Path, settings: BalanceSettings, profile: Prof
     summary = (
         f"lamp of {profile.lamp.pixels} pixels at ({r:.3f}, {g:.3f}, {b:.3f}) → ({now}) in {profile.lamp.transform}"
     )
-    return Outcome(summary, figures, [f"{out.stem}: {t}" for t in mismatches(profile, Camera.model_validate(camera))])
+    if applied is not None:
+        summary = f"profile {applied} of {profile.reference_shot} applied; no lamp was looked for"
+    return Outcome(
+        summary, figures, [f"{corrected.name}: {t}" for t in mismatches(profile, Camera.model_validate(camera))]
+    )
 
 
 def _read_corrected(path: Path) -> tuple[exr.Header, npt.NDArray[np.float32], Profile]:

@@ -14,9 +14,13 @@ from envcal.errors import EnvcalError
 from envcal.profile import Camera, Chart, Patch, Profile, matrix_rows, mismatches, row
 from envcal.runner import Outcome
 
+#: From this share of lost pixels on, clipping is named before anything else that may be wrong.
+_MUCH_LOST = 0.05
+
 
 def calibrate_on_chart(merged: Path, settings: CorrectSettings, working_space: str) -> Profile:
     """Find the chart in a merged reference shot and return the profile it gives, without a lamp yet."""
+    from calibrate import CalibrateError
     from calibrate.chart import chart_from_corners, chart_reference, find_chart, measure_patches
     from calibrate.correct import fit_matrix
     from uplift.spectrum import rgb_space
@@ -24,12 +28,23 @@ def calibrate_on_chart(merged: Path, settings: CorrectSettings, working_space: s
     header, image = _read_merged(merged)
     reference = chart_reference(settings.reference)
     latlong = header.size[1] == 2 * header.size[0]
-    if settings.chart == "auto":
-        found = find_chart(image, reference, latlong=latlong)
-    else:
-        found = chart_from_corners(np.asarray(settings.chart, np.float64))
-    # Bayer: a quarter of the red and blue samples were measured, half of the green; the rest is interpolated.
-    patches = measure_patches(image, found.quads, names=reference.names, latlong=latlong, independent=(0.25, 0.5, 0.25))
+    try:
+        if settings.chart == "auto":
+            found = find_chart(image, reference, latlong=latlong)
+        else:
+            found = chart_from_corners(np.asarray(settings.chart, np.float64))
+        # Bayer: a quarter of the red and blue samples were measured, half of the green; the rest is interpolated.
+        patches = measure_patches(
+            image, found.quads, names=reference.names, latlong=latlong, independent=(0.25, 0.5, 0.25)
+        )
+    except CalibrateError as error:
+        lost = float(np.isnan(image).any(axis=2).mean())
+        if lost < _MUCH_LOST:
+            raise
+        raise CalibrateError(
+            f"{merged}: {lost:.0%} of the shot is clipped in every frame, which is the likely reason for what follows. Add "
+            f"shorter exposures to the bracket.\n{error}"
+        ) from error
     fit = fit_matrix(
         patches.rgb,
         reference,
@@ -71,8 +86,13 @@ def calibrate_on_chart(merged: Path, settings: CorrectSettings, working_space: s
     )
 
 
-def correct(merged: Path, out: Path, settings: CorrectSettings, profile: Profile) -> Outcome:
-    """Write `merged` in the profile's working RGB to `out`; 1 is a perfect white diffuser at the chart."""
+def correct(
+    merged: Path, out: Path, settings: CorrectSettings, profile: Profile, *, applied: str | None = None
+) -> Outcome:
+    """Write `merged` in the profile's working RGB to `out`; 1 is a perfect white diffuser at the chart.
+
+    `applied` names the profile where it was not made on this shot.
+    """
     from calibrate.correct import apply_matrix
 
     header, image = _read_merged(merged)
@@ -97,7 +117,9 @@ def correct(merged: Path, out: Path, settings: CorrectSettings, profile: Profile
         f"chart ΔE2000 mean {delta_e['mean']:.2f}, largest {delta_e['max']:.2f}; left out mean "
         f"{delta_e['left_out_mean']:.2f}"
     )
-    warnings = [f"{out.stem}: {text}" for text in mismatches(profile, _camera(header))]
+    if applied is not None:
+        summary = f"profile {applied} of {profile.reference_shot} applied; no chart was looked for"
+    warnings = [f"{merged.name}: {text}" for text in mismatches(profile, _camera(header))]
     return Outcome(summary, figures, warnings)
 
 

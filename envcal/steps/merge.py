@@ -59,7 +59,7 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
         "read_noise_e": merged.noise.read_noise_e,
     }
     summary = (
-        f"{len(frames)} frames → {image.shape[1]}×{image.shape[0]} pixels, {int(lost.sum())} lost, "
+        f"{len(frames)} frame{'s' if len(frames) != 1 else ''} → {image.shape[1]}×{image.shape[0]} pixels, {int(lost.sum())} lost, "
         f"{merged.defect_count} defects replaced"
     )
     return Outcome(summary, figures, merged.warnings)

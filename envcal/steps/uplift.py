@@ -207,7 +207,8 @@ class Tally:
             warnings.append(
                 f"{self._counts[Status.CLOSEST]} of {pixels} pixels have colours that no light can show (noise, "
                 f"coloured fringes at the rims of lamps, a poor chart fit); they moved by up to ΔE2000 {self._shift:.3g}, and "
-                f"{self._darkened} of them, of negative luminance, became black. Look where they are in the report."
+                f"{self._darkened} of them, of negative luminance, became black. A few at the rims of lamps do no harm; the "
+                f"report shows where they are."
             )
         if self._counts[Status.MISSING]:
             warnings.append(

@@ -100,6 +100,42 @@ def test_a_file_of_the_wrong_stage_is_refused_with_the_command_to_run(tmp_path, 
     assert not (tmp_path / "out.exr").exists()
 
 
+def test_only_an_exr_is_written_and_it_says_so(tmp_path):
+    exr.write(tmp_path / "map.exr", exr.rgb_planes(np.ones((8, 16, 3), np.float32)), attributes={})
+    done = envcal("uplift", tmp_path / "map.exr", "-o", tmp_path / "out.png")
+    assert done.exit_code == 2
+    assert "does not end in .exr" in done.stderr
+    assert not (tmp_path / "out.png").exists()
+
+
+def test_ctrl_c_is_a_stop_and_no_mistake(tmp_path, monkeypatch):
+    def stop(*_arguments, **_settings):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("envcal.config.load", stop)
+    done = envcal("run", tmp_path / "pipeline.yaml")
+    assert done.exit_code == 130
+    assert "goes on where it stopped" in done.stderr
+
+
+def test_compiled_code_goes_to_a_folder_of_this_process_where_nothing_else_can_be_written(monkeypatch):
+    from pathlib import Path
+
+    from envcal import cli
+
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(cli.os, "access", lambda *_: False)
+    cli._let_numba_cache()
+    folder = Path(cli.os.environ["NUMBA_CACHE_DIR"])
+    assert folder.is_dir()
+    assert list(folder.iterdir()) == []
+    assert folder.stat().st_mode & 0o077 == 0 or cli.os.name == "nt"
+    folder.rmdir()
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    monkeypatch.undo()
+    cli._let_numba_cache()
+
+
 def test_a_report_without_a_run_is_refused(tmp_path):
     done = envcal("report", tmp_path)
     assert done.exit_code == 1

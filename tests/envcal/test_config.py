@@ -90,6 +90,11 @@ def test_a_mistake_is_refused_with_place_and_remedy(tmp_path, text, message):
     assert message in "\n".join(mistakes(tmp_path, text))
 
 
+def test_tungsten_is_understood_and_its_name_here_told(tmp_path):
+    text = "capture: {reference: f1.dng}\ncluster: {lights: [{at: [0, 0], type: tungsten}]}\n"
+    assert "did you mean 'incandescent'?" in mistakes(tmp_path, text)[0]
+
+
 def test_a_missing_or_unreadable_settings_file_is_named(tmp_path):
     with pytest.raises(EnvcalError, match="cannot be read"):
         config.load(tmp_path / "none.yaml")

@@ -36,6 +36,13 @@ def test_primaries_in_an_hdr_header_are_believed(tmp_path, image):
     assert read_map(tmp_path / "a.hdr").space == "ITU-R BT.2020"
 
 
+def test_primaries_of_nothing_but_zeros_count_as_none(tmp_path, image):
+    data = hdr_bytes(image).replace(b"\n\n", b"\nPRIMARIES=0 0 0 0 0 0 0 0\n\n", 1)
+    (tmp_path / "a.hdr").write_bytes(data)
+    found = read_map(tmp_path / "a.hdr")
+    assert (found.space, found.said_by) == ("sRGB", "default")
+
+
 @pytest.mark.parametrize("space", ["ITU-R BT.2020", "sRGB", "P3-D65", "ACEScg", "ACES2065-1", "Adobe Wide Gamut RGB"])
 def test_the_chromaticities_of_an_exr_name_its_space(tmp_path, image, space):
     exr.write(tmp_path / "a.exr", exr.rgb_planes(image), attributes=provenance.colour_space(space))
