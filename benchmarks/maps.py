@@ -32,7 +32,8 @@ def lamps(per_family: int, observer: Observer) -> list[tuple[str, str, Float64]]
     out = []
     for family in FIVE_FAMILIES:
         low, high = FAMILIES[family].low_k, FAMILIES[family].high_k
-        for cct in 1 / np.linspace(1 / low, 1 / high, per_family):
+        mireds = np.linspace(1 / low, 1 / high, per_family) if per_family > 1 else [(1 / low + 1 / high) / 2]
+        for cct in 1 / np.asarray(mireds):
             kelvin = float(np.clip(cct, low, high))
             out.append((family, f"{family} {kelvin:.0f} K", family_emission(family, kelvin, observer)))
     return out
@@ -81,7 +82,7 @@ def random_map(
     elif kind == "dark":
         rgb = rng.random(shape) * 10 ** rng.uniform(-9, -3, (height, width, 1))
     elif kind == "saturated":
-        rgb = rng.random(shape) ** 6
+        rgb = rng.random(shape) ** 4
     else:
         rgb = rng.random(shape) * 10 ** rng.uniform(0, 5, (height, width, 1))
     return np.maximum(rgb, 0).astype(np.float32)
