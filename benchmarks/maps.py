@@ -100,9 +100,9 @@ def relit_rooms(folder: Path, emission: Float64, *, observer: Observer, space: R
 
 
 def real_maps(folder: Path) -> Iterator[tuple[str, Image, str]]:
-    """Yield (name, map, space) of every `real/*.hdr`."""
+    """Yield (name, map, space) of every `real/*.hdr`, taken for linear sRGB."""
     from envcal.maps import read_map
 
     for path in sorted((folder / "real").glob("*.hdr")):
-        found = read_map(path)
+        found = read_map(path, space="sRGB")  # whatever its header says: some say that all primaries are zero
         yield path.stem, found.image, found.space

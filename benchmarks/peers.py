@@ -5,7 +5,9 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -174,7 +176,7 @@ def colour_look_up(
 def renderer_load(rgb: npt.NDArray[np.float32]) -> tuple[str, float] | Skipped:
     """Return Mitsuba's variant and the seconds in which it loads `rgb` as a spectral `envmap`, or why it cannot."""
     try:
-        import mitsuba
+        mitsuba: Any = import_module("mitsuba")
     except ImportError:
         return "Mitsuba is not installed (pip install mitsuba)"
     wanted = [name for name in ("llvm_ad_spectral", "scalar_spectral") if name in mitsuba.variants()]

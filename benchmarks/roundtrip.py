@@ -117,7 +117,7 @@ def main(arguments: list[str] | None = None) -> int:
         settings = {"precision": chosen.precision}
     elif chosen.precision != "exact":
         parser.error(f"uplift_pixels offers no precision, so not {chosen.precision} either; leave --precision out")
-    groups = measure(*chosen.size, chosen.lamps, settings)
+    groups = measure(*chosen.size, per_family=chosen.lamps, settings=settings)
     everything = Sums()
     for sums in groups.values():
         everything = everything.joined(sums)
@@ -128,7 +128,7 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def measure(width: int, height: int, per_family: int, settings: dict[str, str]) -> dict[str, Sums]:
+def measure(width: int, height: int, *, per_family: int, settings: dict[str, str]) -> dict[str, Sums]:
     """Uplift everything there is; return the sums by kind of map."""
     groups: dict[str, Sums] = {}
     for group, rgb, space, cluster, tables in uplifts(width, height, per_family):

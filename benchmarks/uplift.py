@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -63,13 +64,15 @@ def main(arguments: list[str] | None = None) -> int:
     if chosen.streaming:
         print(json.dumps(stream(*chosen.streaming)))
         return 0
-    figures = {"large": large(*chosen.large)} if chosen.large else speed(*chosen.size, chosen.crop, chosen.repeat)
+    figures = (
+        {"large": large(*chosen.large)} if chosen.large else speed(*chosen.size, crop=chosen.crop, repeat=chosen.repeat)
+    )
     if chosen.json:
         chosen.json.write_text(json.dumps(figures, indent=1), encoding="utf-8")
     return 0
 
 
-def precisions() -> list[dict[str, str]]:
+def precisions() -> list[dict[str, Any]]:
     """Return the settings under which `uplift_pixels` can be called: one, unless it offers a precision."""
     if "precision" not in inspect.signature(uplift_pixels).parameters:
         return [{}]
@@ -110,7 +113,7 @@ def _both(name: str, run: Callable[[slice], Any], shape: tuple[int, int], repeat
     return Row(name, rate, single, height * width, more.get("mean"), more.get("worst"), more.get("remark", ""))
 
 
-def speed(width: int, height: int, crop: int, repeat: int) -> dict[str, Any]:
+def speed(width: int, height: int, *, crop: int, repeat: int) -> dict[str, Any]:
     """Measure every way of uplifting one map, print the table, and return the figures."""
     eyes = observer()
     space = rgb_space("ITU-R BT.2020")
@@ -130,27 +133,17 @@ def speed(width: int, height: int, crop: int, repeat: int) -> dict[str, Any]:
     for steps, name in ((2, "plain loop"), (0, "plain loop, look-up alone")):
         c, s = plain(few, few_cluster, steps=steps)
         error = _errors(few, plain.colours(c, s, few_cluster), space)
-        rows.append(
-            _both(
-                name, lambda part, k=steps: plain(rgb[part], cluster[part], steps=k), (height, width), repeat, **error
-            )
-        )
+        whole = partial(_rows, partial(plain, steps=steps), rgb, cluster)
+        rows.append(_both(name, whole, (height, width), repeat, **error))
     tables = [build_table(light, observer=eyes, space=space) for light in emissions]
     for settings in precisions():
-        found = uplift_pixels(few, few_cluster, tables, **settings)
+        solve: Any = partial(uplift_pixels, tables=tables, **settings)
+        found = solve(few, few_cluster)
         shown = rgb_of(found.coefficients, found.scale, found.emission, found.emissions, observer=eyes, space=space)
         error = _errors(few, shown, space, found.status)
-        name = settings.get("precision", "exact")
-        rows.append(
-            _both(
-                name,
-                lambda part, k=settings: uplift_pixels(rgb[part], cluster[part], tables, **k),
-                (height, width),
-                repeat,
-                remark=_shares(found.counts),
-                **error,
-            )
-        )
+        whole = partial(_rows, solve, rgb, cluster)
+        shares = _shares(found.counts)
+        rows.append(_both(settings.get("precision", "exact"), whole, (height, width), repeat, remark=shares, **error))
     rows += _slow_peers(few, few_cluster, emissions, repeat, on_crop)
     peers, skipped = _foreign_peers(rgb, few, repeat, on_crop)
     rows += peers
@@ -167,6 +160,10 @@ def speed(width: int, height: int, crop: int, repeat: int) -> dict[str, Any]:
         **builds,
         "peak_gb": peak,
     }
+
+
+def _rows(solve: Any, rgb: npt.NDArray[np.float32], cluster: npt.NDArray[np.uint32], part: slice) -> None:
+    solve(rgb[part], cluster[part])
 
 
 def _errors(
@@ -280,11 +277,11 @@ def _builds(emissions: list[npt.NDArray[np.float64]], repeat: int) -> dict[str, 
     space = rgb_space("ITU-R BT.2020")
     cube = build_cube(observer=eyes, space=space)
     tables = {
-        name: fastest(lambda e=light: build_table(e, observer=eyes, space=space), repeat)
+        name: fastest(partial(build_table, light, observer=eyes, space=space), repeat)
         for name, light in zip(LIGHTS, emissions, strict=True)
     }
     lattices = {
-        name: fastest(lambda e=light: build_lattice(e, cube), repeat)
+        name: fastest(partial(build_lattice, light, cube), repeat)
         for name, light in zip(LIGHTS, emissions, strict=True)
     }
     whole = fastest(lambda: build_cube(observer=eyes, space=space), 1)
@@ -329,7 +326,9 @@ def stream(width: int, height: int) -> dict[str, Any]:
         space=space.name,
         sky=False,
         lights=[
-            LightRecord(cluster=k, remedy="", emission=[float(v) for v in light], **blank, **told)
+            LightRecord.model_validate(
+                {"cluster": k, "remedy": "", "emission": [float(v) for v in light], **blank, **told}
+            )
             for k, light in enumerate(emissions)
         ],
     )

@@ -101,7 +101,7 @@ def test_real_maps_are_read_and_clustered(tmp_path, monkeypatch, capsys):
     rgb = random_map("reflectances", 64, 32, emission, observer=EYES, space=WIDE, seed=1)
     cv2.imwrite(str(tmp_path / "real" / "a.hdr"), rgb[..., ::-1])
     monkeypatch.setenv("ENVCAL_DATA", str(tmp_path))
-    groups = roundtrip.measure(16, 8, 1, {})
+    groups = roundtrip.measure(16, 8, per_family=1, settings={})
     assert groups["real: own lights"].uplifts == 1 and groups["real: other lamps"].uplifts == 5
     assert groups["real: own lights"].pixels == 2048
     assert "real: own lights" in roundtrip.report({**groups, "all": groups["real: own lights"]})
