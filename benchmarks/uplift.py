@@ -126,7 +126,7 @@ def speed(width: int, height: int, *, crop: int, repeat: int) -> dict[str, Any]:
     # Every n-th row: as many pixels as the slow ones can take, of all lights.
     every = max(1, -(-width * height // crop))
     few, few_cluster = np.ascontiguousarray(rgb[::every]), np.ascontiguousarray(cluster[::every])
-    on_crop = f"on every {every}th row; the rate holds for the whole" if every > 1 else ""
+    on_crop = f"rate measured on one row in {every}" if every > 1 else ""
     rows: list[Row] = []
 
     plain = PlainLoop(emissions, observer=eyes, space=space)
@@ -243,7 +243,17 @@ def _foreign_peers(
     else:
         pixels = few.shape[0] * few.shape[1]
         rate = pixels / fastest(lambda: look_up(few), repeat) / 1e6
-        rows.append(Row("colour-science Jakob2019", rate, None, pixels, None, None, f"look-up; {remark}"))
+        rows.append(
+            Row(
+                "colour-science Jakob2019",
+                rate,
+                None,
+                pixels,
+                None,
+                None,
+                "; ".join(note for note in ("look-up", remark) if note),
+            )
+        )
     loaded = renderer_load(rgb)
     if isinstance(loaded, str):
         skipped.append(loaded)
