@@ -1,0 +1,1 @@
+"""Speed and accuracy against peers, each in one run on one machine. `python -m benchmarks` lists and runs them."""

@@ -1,0 +1,34 @@
+"""`python -m benchmarks [NAME [OPTION …]]`: list the benchmarks and run all of them, or run one."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+BENCHMARKS = {
+    "uplift": "speed and memory of every uplift, with ratios to a plain loop and to the lattice",
+    "roundtrip": "how exactly RGB comes back, over maps and lamps of all families",
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run what was named; return 0, or 2 if there is no such benchmark."""
+    given = sys.argv[1:] if arguments is None else arguments
+    if given and given[0] in BENCHMARKS:
+        return int(import_module(f"benchmarks.{given[0]}").main(given[1:]))
+    for name, what in BENCHMARKS.items():
+        print(f"{name:10} {what}")
+    if given and given[0] in ("-h", "--help", "--list"):
+        print("\npython -m benchmarks runs all; python -m benchmarks NAME --help tells the options of one")
+        return 0
+    if given:
+        print(f"\n{given[0]}: no such benchmark; expected {' or '.join(BENCHMARKS)}", file=sys.stderr)
+        return 2
+    for name in BENCHMARKS:
+        print(f"\n== {name} ==\n")
+        import_module(f"benchmarks.{name}").main([])
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
