@@ -3,7 +3,8 @@
 P(λ) = scale · E(λ) · S(c0 λ² + c1 λ + c2), E the emission of the pixel's light (Tódová and Wilkie,
 "Constrained Spectral Uplifting for HDR Environment Maps", EGSR 2024; the sigmoid of Jakob and Hanika 2019). Each
 pixel starts from its light's look-up table and goes on with Newton's method on the spectral sum itself, so it
-depends on the table for its speed only.
+depends on the table for its speed only. Where the table's cell is smooth, its bicubic surface starts so close that
+one step is enough, and the cell's curvature says so without another look; the coarser precisions stop before.
 
 What each pixel got is its `Status`. A colour that E · R cannot show (the colour stands outside the cone
 spanned by E at the grid's wavelengths) takes D65 instead, and stays exact. A colour that no light can show
@@ -97,13 +98,17 @@ def uplift_pixels(
         Shape (H, W), integers: the index into `tables` of each pixel's light.
     tables
         One per light; all of the same observer, space, number of nodes and factor.
+    precision
+        How near `rgb_of` comes to `rgb` for EXACT and FALLBACK pixels, as ΔE2000 with every pixel as its own white:
+        "exact" as near as rounding lets it, "float" within 1e-4, "preview" within 0.05. The coarser ones take what
+        the table says wherever its cells were found good enough when it was built, and Newton steps elsewhere.
 
     Raises
     ------
     UpliftError
-        If shapes disagree, a cluster has no table, or the tables differ in kind.
+        If shapes disagree, a cluster has no table, the tables differ in kind, or the precision is unknown.
 
-    Properties: `rgb_of` gives back `rgb` for EXACT and FALLBACK pixels; k · rgb has k times the spectrum;
+    Properties: `rgb_of` gives back `rgb` for EXACT and FALLBACK pixels, to the precision; k · rgb has k times the spectrum;
     the light's own RGB has its spectrum; 0 < R < 1.
     """
     rgb, cluster = np.asarray(rgb), np.asarray(cluster)
@@ -144,13 +149,19 @@ def uplift_pixels(
         status,
         counts,
     )
-    shape = cluster.shape
-    coefficients, scale = coefficients.reshape(*shape, 3), scale.reshape(shape)
-    emission, status = emission.reshape(shape), status.reshape(shape)
     found = {kind: int(counts[:, kind].sum()) for kind in Status}
     emissions = np.stack([table.emission for table in every])
+    shape = cluster.shape
     return recorded(
-        rgb, coefficients, scale, emission, status, emissions, observer=first.observer, space=first.space, counts=found
+        rgb,
+        coefficients.reshape(*shape, 3),
+        scale.reshape(shape),
+        emission.reshape(shape),
+        status.reshape(shape),
+        emissions,
+        observer=first.observer,
+        space=first.space,
+        counts=found,
     )
 
 
@@ -309,25 +320,55 @@ def _entry(cone, axes, luminance, r, g, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _mixture(weights, t, nodes, solved, cone, axes, luminance, share, r, g, b):  # type: ignore[no-untyped-def]
-    """Return (c0, c1, c2, level, largest) of a colour mixed with `share` of its light's white, and the least more."""
+def _mixture(weights, t, surface, grades, axes, luminance, share, r, g, b):  # type: ignore[no-untyped-def]
+    """Return (c0, c1, c2, level, largest) of a colour mixed with `share` of its light's white, and little more.
+
+    From the table's first good cell on the way to white back to the border, each distance a third of the one
+    before and started from its solution: near the border no other start leads anywhere.
+    """
     G0 = axes[0, 0] * r + axes[0, 1] * g + axes[0, 2] * b
     G1 = axes[1, 0] * r + axes[1, 1] * g + axes[1, 2] * b
     G2 = axes[2, 0] * r + axes[2, 1] * g + axes[2, 2] * b
-    more = 3e-4
-    while more < 1.0:
+    c0, c1, c2, level, largest = 0.0, 0.0, 0.0, 0.5, luminance  # the white itself: S(0) = ½
+    found = False
+    odds = (
+        3e-4  # of white; small beside the colours of a warm light, whose blue counts thousandfold, until far above one
+    )
+    while odds < 1e6 and not found:
+        more = odds / (1.0 + odds)
         mixed = share + (1.0 - share) * more
-        M0 = G0 + mixed * (luminance - G0)
-        M1 = G1 + mixed * (luminance - G1)
-        M2 = G2 + mixed * (luminance - G2)
-        largest = max(M0, M1, M2)
-        c0, c1, c2, level = _reach(
-            weights, t, nodes, solved, cone, M0 / largest, M1 / largest, M2 / largest, luminance / largest, 0.03
-        )
-        if level > 0.0:
-            return c0, c1, c2, level, largest
-        more *= 3.0
-    return 0.0, 0.0, 0.0, 0.5, luminance  # the white itself: S(0) = ½
+        M0, M1, M2 = G0 + mixed * (luminance - G0), G1 + mixed * (luminance - G1), G2 + mixed * (luminance - G2)
+        top = max(M0, M1, M2)
+        m, i, j, p, q, grade = _cell(grades, M0 / top, M1 / top, M2 / top)
+        if grade:
+            n0, n1, n2, dimness = cubic(surface, m, i, j, p, q)
+            bright = 1.0 / (dimness * top)
+            aim = _AIM * min(1.0, luminance / top) / dimness
+            n0, n1, n2, error = solve(weights, t, bright * M0, bright * M1, bright * M2, n0, n1, n2, aim, 12)
+            if error * dimness <= SOLVED * min(1.0, luminance / top):
+                found = True
+                c0, c1, c2, level, largest = n0, n1, n2, 1.0 / dimness, top
+        if not found:
+            odds *= 3.0
+    while found and odds > 4e-4:
+        odds /= 3.0
+        more = odds / (1.0 + odds)
+        mixed = share + (1.0 - share) * more
+        M0, M1, M2 = G0 + mixed * (luminance - G0), G1 + mixed * (luminance - G1), G2 + mixed * (luminance - G2)
+        top = max(M0, M1, M2)
+        least = min(1.0, luminance / top)
+        found = False
+        dimmed = level
+        for _ in range(3):
+            n0, n1, n2, error = solve(
+                weights, t, dimmed / top * M0, dimmed / top * M1, dimmed / top * M2, c0, c1, c2, _AIM * least, 20
+            )
+            if error <= SOLVED * least * dimmed:
+                c0, c1, c2, level, largest = n0, n1, n2, dimmed, top
+                found = True
+                break
+            dimmed *= 0.6
+    return c0, c1, c2, level, largest
 
 
 @njit(cache=True, error_model="numpy")
@@ -351,7 +392,9 @@ def _cell(grades, r, g, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _difficult(luminance_weights, axes, weights, t, nodes, solved, cones, k, red, green, blue):  # type: ignore[no-untyped-def]
+def _difficult(  # type: ignore[no-untyped-def]
+    luminance_weights, axes, weights, t, nodes, solved, cones, surfaces, grades, k, red, green, blue
+):
     """Return (kind, light, c0, c1, c2, scale) of any pixel at all, without a look at its cell's grade."""
     last = axes.shape[0] - 1
     size = max(abs(red), abs(green), abs(blue))
@@ -376,9 +419,7 @@ def _difficult(luminance_weights, axes, weights, t, nodes, solved, cones, k, red
     other = _entry(cones[last], axes[last], y, red, green, blue)
     if other < share:
         k, share = last, other
-    c0, c1, c2, level, largest = _mixture(
-        weights[k], t, nodes[k], solved[k], cones[k], axes[k], y, share, red, green, blue
-    )
+    c0, c1, c2, level, largest = _mixture(weights[k], t, surfaces[k], grades[k], axes[k], y, share, red, green, blue)
     return CLOSEST, k, c0, c1, c2, largest * size / level
 
 
@@ -431,11 +472,13 @@ def _uplift(  # type: ignore[no-untyped-def]
                         done = precision != ALL and grade & CUBIC != 0
                     if not done:
                         level = 1.0 / dimness
-                        y = (luminance_weights[0] * red + luminance_weights[1] * green + luminance_weights[2] * blue) * one
-                        aim = (0.2 * _AIM if precision == ALL else 1e-8) * min(1.0, y)
+                        y = (
+                            luminance_weights[0] * red + luminance_weights[1] * green + luminance_weights[2] * blue
+                        ) * one
+                        aim = (1e-14 if precision == ALL else 1e-8) * min(1.0, y)
                         g0, g1, g2 = level * one * G0, level * one * G1, level * one * G2
                         curvature = curvatures[k, m, i, j]
-                        for _ in range(4):
+                        for _ in range(6):
                             c0, c1, c2, error = newton(weights[k], t, g0, g1, g2, c0, c1, c2)
                             # The next residual is at most this, so no need to look.
                             if curvature * error * error <= aim:
@@ -444,7 +487,7 @@ def _uplift(  # type: ignore[no-untyped-def]
                     brightness = largest * dimness
             if not done:
                 kind, k, c0, c1, c2, brightness = _difficult(
-                    luminance_weights, axes, weights, t, nodes, solved, cones, k, red, green, blue
+                    luminance_weights, axes, weights, t, nodes, solved, cones, surfaces, grades, k, red, green, blue
                 )
             coefficients[index, 0] = c0 * (b * b)
             coefficients[index, 1] = c1 * b - 2.0 * c0 * (a * b * b)

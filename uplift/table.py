@@ -6,11 +6,15 @@ has two dimensions for each of the three components that may be the largest, not
 Jakob and Hanika 2019). Each node is solved by damped Gauss–Newton under the light, starting from its
 neighbour, and the first one from grey.
 
-**How bright R is.** The largest component of E·R is 1/`factor` (2 in Tódová and Wilkie 2024) wherever a
-reflectance below one can be that bright. Near the border of what the light can show none can: pure BT.2020
-red under D65 is one wavelength. There R is darkened, by as much as it takes, and each node keeps its own
-`level`. So every colour inside the cone that the light spans has an exact spectrum under that light; scale
-makes up for the darkness.
+**How bright R is.** The largest component of E·R is 1/`factor` (2 in Tódová and Wilkie 2024), or 0.8 of the
+brightest that any R below one can be (MacAdam 1935) where that is less, with a smooth passage between the two.
+Near the border of what the light can show little is left: pure BT.2020 red under D65 is one wavelength. Each
+node keeps its own `level`, lower still where the sigmoid does not reach that one. So colours inside the cone
+that the light spans have an exact spectrum under that light; scale makes up for the darkness.
+
+**Between the nodes.** Coefficients and 1/level are bicubic: Hermite's polynomials through the nodes and their
+differences. Each cell is tried at five points when the table is built, and its `grades` say whether linear or
+cubic interpolation is good enough by itself, or at least a start from which Newton's method converges at once.
 
 **Axes.** The working space's own, divided by the light's RGB, wherever those are clearly positive. The blue
 of very warm light is zero or negative (below about 1900 K in sRGB, 1060 K in BT.2020): then the axes of
@@ -54,6 +58,9 @@ class Table:
     j)/(n − 1) of components m+1 and m+2 (modulo 3) to it: the coefficients for `t` [N], and the level.
     `solved` [3, n, n] is False where the colour is out of reach; its coefficients are then those of a
     neighbour. `cone` [P, 3] holds inward normals: the light can show exactly the colours with `cone @ G` > 0.
+    `surface` [3, n, n, 4, 4] holds the nodes with 1/level for the level, then their derivatives along i, along j,
+    and along both. `grades` [3, n-1, n-1] has for each cell the bits USABLE, LINEAR and CUBIC; `curvature` [3, n-1,
+    n-1] is C such that a Newton step from there leaves a residual below C times the square of the one before.
     """
 
     emission: Float64
@@ -96,7 +103,7 @@ def build_table(
     field, solved = _fill(weights, t, cone, _levels(weights, nodes, factor))
     surface = _surface_of(field)
     curvature, asked, shown = _check_cells(weights, t, field, solved, surface)
-    grades = _grades_of(curvature, asked, shown, np.linalg.inv(axes), space)
+    grades = _grades_of(curvature, asked, shown, np.asarray(np.linalg.inv(axes), dtype=np.float64), space)
     return Table(
         light, observer, space, factor, axes_name, axes, weights, t, field, solved, cone, surface, grades, curvature
     )
@@ -108,8 +115,8 @@ def _levels(weights: Float64, nodes: int, factor: float) -> Float64:
     The brightest E · R of a colour, R at most one, lies on the border of the zonotope that the columns of `weights`
     span (MacAdam 1935 drew it for daylight); each pair of columns is parallel to one pair of its faces.
     """
-    # Neighbours are merged in pairs, which shrinks the zonotope a little: never too bright.
-    columns = np.add.reduceat(weights, np.arange(0, weights.shape[1], 2), axis=1).T
+    # Neighbours are merged into some thirty columns, which shrinks the zonotope a little: never too bright.
+    columns = np.add.reduceat(weights, np.arange(0, weights.shape[1], -(-weights.shape[1] // 30)), axis=1).T
     first, second = np.triu_indices(len(columns), 1)
     normals = np.cross(columns[first], columns[second])
     normals = np.concatenate([normals, -normals])
@@ -284,7 +291,7 @@ def permuted(m, largest, second, third):  # type: ignore[no-untyped-def]
     return second, third, largest
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", parallel=True, fastmath=SUMS | {"nnan"})
 def _dimness(faces, n):  # type: ignore[no-untyped-def]
     """Return 1 / (the brightest level) [3, n, n] in a zonotope {g: `faces`ᵀ @ g ≤ 1} with `faces` [3, F]."""
     out = np.empty((3, n, n))
@@ -311,8 +318,16 @@ def _node(weights, t, cone, nodes, solved, m, i, j, step_i, step_j, level):  # t
         return
     limit = SOLVED * level
     n0, n1, n2, error = solve(
-        weights, t, level * d0, level * d1, level * d2,
-        2.0 * c0 - far[0], 2.0 * c1 - far[1], 2.0 * c2 - far[2], 0.01 * limit, 12,
+        weights,
+        t,
+        level * d0,
+        level * d1,
+        level * d2,
+        2.0 * c0 - far[0],
+        2.0 * c1 - far[1],
+        2.0 * c2 - far[2],
+        0.01 * limit,
+        12,
     )
     error /= level
     if error > SOLVED:
@@ -367,28 +382,76 @@ def cubic(surface, m, i, j, p, q):  # type: ignore[no-untyped-def]
     y0, y1, y2, y3 = a1 * b0, u1 * b0, a1 * v0, u1 * v0
     z0, z1, z2, z3 = a1 * b1, u1 * b1, a1 * v1, u1 * v1
     c0 = (
-        w0 * n[0, 0] + w1 * n[1, 0] + w2 * n[2, 0] + w3 * n[3, 0]
-        + x0 * e[0, 0] + x1 * e[1, 0] + x2 * e[2, 0] + x3 * e[3, 0]
-        + y0 * s[0, 0] + y1 * s[1, 0] + y2 * s[2, 0] + y3 * s[3, 0]
-        + z0 * x[0, 0] + z1 * x[1, 0] + z2 * x[2, 0] + z3 * x[3, 0]
+        w0 * n[0, 0]
+        + w1 * n[1, 0]
+        + w2 * n[2, 0]
+        + w3 * n[3, 0]
+        + x0 * e[0, 0]
+        + x1 * e[1, 0]
+        + x2 * e[2, 0]
+        + x3 * e[3, 0]
+        + y0 * s[0, 0]
+        + y1 * s[1, 0]
+        + y2 * s[2, 0]
+        + y3 * s[3, 0]
+        + z0 * x[0, 0]
+        + z1 * x[1, 0]
+        + z2 * x[2, 0]
+        + z3 * x[3, 0]
     )
     c1 = (
-        w0 * n[0, 1] + w1 * n[1, 1] + w2 * n[2, 1] + w3 * n[3, 1]
-        + x0 * e[0, 1] + x1 * e[1, 1] + x2 * e[2, 1] + x3 * e[3, 1]
-        + y0 * s[0, 1] + y1 * s[1, 1] + y2 * s[2, 1] + y3 * s[3, 1]
-        + z0 * x[0, 1] + z1 * x[1, 1] + z2 * x[2, 1] + z3 * x[3, 1]
+        w0 * n[0, 1]
+        + w1 * n[1, 1]
+        + w2 * n[2, 1]
+        + w3 * n[3, 1]
+        + x0 * e[0, 1]
+        + x1 * e[1, 1]
+        + x2 * e[2, 1]
+        + x3 * e[3, 1]
+        + y0 * s[0, 1]
+        + y1 * s[1, 1]
+        + y2 * s[2, 1]
+        + y3 * s[3, 1]
+        + z0 * x[0, 1]
+        + z1 * x[1, 1]
+        + z2 * x[2, 1]
+        + z3 * x[3, 1]
     )
     c2 = (
-        w0 * n[0, 2] + w1 * n[1, 2] + w2 * n[2, 2] + w3 * n[3, 2]
-        + x0 * e[0, 2] + x1 * e[1, 2] + x2 * e[2, 2] + x3 * e[3, 2]
-        + y0 * s[0, 2] + y1 * s[1, 2] + y2 * s[2, 2] + y3 * s[3, 2]
-        + z0 * x[0, 2] + z1 * x[1, 2] + z2 * x[2, 2] + z3 * x[3, 2]
+        w0 * n[0, 2]
+        + w1 * n[1, 2]
+        + w2 * n[2, 2]
+        + w3 * n[3, 2]
+        + x0 * e[0, 2]
+        + x1 * e[1, 2]
+        + x2 * e[2, 2]
+        + x3 * e[3, 2]
+        + y0 * s[0, 2]
+        + y1 * s[1, 2]
+        + y2 * s[2, 2]
+        + y3 * s[3, 2]
+        + z0 * x[0, 2]
+        + z1 * x[1, 2]
+        + z2 * x[2, 2]
+        + z3 * x[3, 2]
     )
     dimness = (
-        w0 * n[0, 3] + w1 * n[1, 3] + w2 * n[2, 3] + w3 * n[3, 3]
-        + x0 * e[0, 3] + x1 * e[1, 3] + x2 * e[2, 3] + x3 * e[3, 3]
-        + y0 * s[0, 3] + y1 * s[1, 3] + y2 * s[2, 3] + y3 * s[3, 3]
-        + z0 * x[0, 3] + z1 * x[1, 3] + z2 * x[2, 3] + z3 * x[3, 3]
+        w0 * n[0, 3]
+        + w1 * n[1, 3]
+        + w2 * n[2, 3]
+        + w3 * n[3, 3]
+        + x0 * e[0, 3]
+        + x1 * e[1, 3]
+        + x2 * e[2, 3]
+        + x3 * e[3, 3]
+        + y0 * s[0, 3]
+        + y1 * s[1, 3]
+        + y2 * s[2, 3]
+        + y3 * s[3, 3]
+        + z0 * x[0, 3]
+        + z1 * x[1, 3]
+        + z2 * x[2, 3]
+        + z3 * x[3, 3]
     )
     return c0, c1, c2, dimness
 
@@ -454,6 +517,6 @@ def _check_cells(weights, t, nodes, solved, surface):  # type: ignore[no-untyped
             c0, c1, c2, before = newton(weights, t, g0, g1, g2, c0, c1, c2)
             after = newton(weights, t, g0, g1, g2, c0, c1, c2)[3]
             found = 4.0 * after / (before * before)
-            if found * largest < 0.05 and largest < 0.05:
+            if found * largest < 0.5:
                 curvature[m, i, j] = found
     return curvature, asked, shown
