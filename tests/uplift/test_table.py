@@ -13,7 +13,7 @@ from uplift.table import DARKEST, USABLE, build_table
 
 EYES = observer()
 RESIDUAL = 2e-12  # of the largest component; the solver stops at 1e-12, the rest is the order of summation
-SECONDS = 3.0  # it takes 0.05 s; this leaves room for busy and slow machines
+SECONDS = 3.0  # it takes 0.1 s; this leaves room for busy and slow machines
 
 
 def node_colours(table):
