@@ -155,3 +155,18 @@ def solve(weights, t, g0, g1, g2, c0, c1, c2, aim, most_steps):  # type: ignore[
         if error < 1e-4 and fraction == 1.0:
             foretold = error * (error / before) ** 2
     return c0, c1, c2, error
+
+
+@njit(cache=True, error_model="numpy", fastmath=SUMS)
+def newton(weights, t, g0, g1, g2, c0, c1, c2):  # type: ignore[no-untyped-def]
+    """Return (c0, c1, c2, error): a whole Newton step towards Σ weights · S = (g0, g1, g2), and the largest of the
+    residuals' magnitudes before it. For compiled code only; coefficients in t.
+    """
+    f0, f1, f2, a, b, c, d, e, f, g, h, i = integrals(weights, t, c0, c1, c2)
+    r0, r1, r2 = g0 - f0, g1 - f1, g2 - f2
+    A, B, C = e * i - f * h, f * g - d * i, d * h - e * g
+    inverse = 1.0 / (a * A + b * B + c * C)
+    c0 += (A * r0 + (c * h - b * i) * r1 + (b * f - c * e) * r2) * inverse
+    c1 += (B * r0 + (a * i - c * g) * r1 + (c * d - a * f) * r2) * inverse
+    c2 += (C * r0 + (b * g - a * h) * r1 + (a * e - b * d) * r2) * inverse
+    return c0, c1, c2, max(abs(r0), abs(r1), abs(r2))

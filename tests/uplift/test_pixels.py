@@ -24,9 +24,9 @@ SUMMED = 1e-12  # relative: the order of 81 additions, and coefficients that are
 SAME_SPECTRUM = 1e-9  # relative: two solutions of one equation, each exact to rounding, where the equation is stiff
 
 
-def uplifted(rgb, name="D65", space=SPACE, **settings):
+def uplifted(rgb, name="D65", space=SPACE, precision="exact", **settings):
     table = build_table(light(name), observer=EYES, space=space, **settings)
-    return uplift_pixels(rgb, np.zeros(rgb.shape[:2], np.uint32), [table])
+    return uplift_pixels(rgb, np.zeros(rgb.shape[:2], np.uint32), [table], precision=precision)
 
 
 def back(result, space=SPACE):
@@ -65,6 +65,46 @@ def test_a_colour_made_by_a_reflectance_is_exact_under_its_light(name, space):
     result = uplifted(made.reshape(25, 40, 3), name, space)
     assert result.counts[Status.EXACT] == 1000
     assert delta_e_2000(made.reshape(25, 40, 3), back(result, space), space, white=None).max() < ROUND_TRIP
+
+
+@pytest.mark.parametrize(("precision", "largest"), [("exact", ROUND_TRIP), ("float", 1e-4), ("preview", 0.05)])
+@pytest.mark.parametrize("space", ["ITU-R BT.2020", "sRGB"])
+@pytest.mark.parametrize("name", NAMES)
+def test_each_precision_keeps_its_promise_and_the_status_of_every_pixel(name, space, precision, largest):
+    space = rgb_space(space)
+    rng = np.random.default_rng(21)
+    rgb = (rng.random((40, 250, 3)) ** rng.choice([0.3, 1.0, 2.0], (40, 250, 1))).astype(np.float32)
+    result = uplifted(rgb, name, space, precision)
+    kept = (result.status == Status.EXACT) | (result.status == Status.FALLBACK)
+    assert delta_e_2000(rgb, back(result, space), space, white=None)[kept].max() < largest
+    np.testing.assert_array_equal(result.status, uplifted(rgb, name, space).status)
+    assert sum(result.counts.values()) == rgb.shape[0] * rgb.shape[1]
+
+
+@pytest.mark.parametrize("name", ["D65", "A", "LED-B3", "FL11"])
+def test_colours_like_those_of_maps_make_the_round_trip_to_rounding(name):
+    rgb = 0.05 + np.random.default_rng(22).random((60, 200, 3))
+    difference = delta_e_2000(rgb, back(uplifted(rgb, name)), SPACE, white=None)
+    assert difference.mean() < 5e-13 and difference.max() < 1e-10
+
+
+@pytest.mark.parametrize("precision", ["float", "preview"])
+def test_tiles_and_threads_change_no_bit_at_lower_precision(precision):
+    rgb = np.random.default_rng(23).normal(0.5, 0.4, (150, 80, 3))
+    whole = uplifted(rgb, "FL2", precision=precision)
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        tile = uplifted(rgb[41:97, 5:], "FL2", precision=precision)
+    finally:
+        numba.set_num_threads(threads)
+    for name in ("coefficients", "scale", "status"):
+        np.testing.assert_array_equal(getattr(whole, name)[41:97, 5:], getattr(tile, name))
+
+
+def test_an_unknown_precision_is_refused():
+    with pytest.raises(UpliftError, match="expected one of exact, float, preview"):
+        uplifted(np.ones((1, 1, 3)), precision="double")
 
 
 @pytest.mark.parametrize("name", NAMES)

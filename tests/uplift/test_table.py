@@ -9,11 +9,11 @@ from tests.uplift.lights_for_tests import NAMES, light
 from uplift import UpliftError
 from uplift.sigmoid import sigmoid
 from uplift.spectrum import illuminant, observer, rgb_space, rgb_weights
-from uplift.table import DARKEST, build_table
+from uplift.table import DARKEST, USABLE, build_table
 
 EYES = observer()
 RESIDUAL = 2e-12  # of the largest component; the solver stops at 1e-12, the rest is the order of summation
-SECONDS = 3.0  # it takes 0.05 s; this leaves room for busy and slow machines
+SECONDS = 3.0  # it takes 0.1 s; this leaves room for busy and slow machines
 
 
 def node_colours(table):
@@ -70,6 +70,24 @@ def test_the_factor_sets_the_brightness_of_white():
     assert table.nodes[..., 3].max() == pytest.approx(0.25)
     shown, asked = node_colours(table)
     assert np.abs(shown - asked)[table.solved].max() < RESIDUAL
+
+
+def test_where_light_is_left_the_level_is_the_factors_and_near_the_border_it_is_darker():
+    wide = build_table(light("D65"), observer=EYES, space=rgb_space("ITU-R BT.2020"), nodes=32)
+    levels = wide.nodes[..., 3]
+    assert (levels <= 0.5).all() and (levels[:, 16:, 16:] == 0.5).all()
+    # R = 1 where a component is positive shows more of it than any R < 1 that shows no more of the others.
+    brightest = np.maximum(wide.weights, 0).sum(axis=1)
+    assert (levels[:, 0, 0] < brightest).all() and (levels[:, 0, 0] < 0.25).all()
+
+
+def test_grades_and_surface_belong_to_the_nodes():
+    table = build_table(light("FL2"), observer=EYES, space=rgb_space("sRGB"), nodes=32)
+    np.testing.assert_array_equal(table.surface[..., 0, :3], table.nodes[..., :3])
+    np.testing.assert_allclose(table.surface[..., 0, 3] * table.nodes[..., 3], 1, rtol=1e-15)
+    usable = table.grades & USABLE > 0
+    np.testing.assert_array_equal(usable, np.isfinite(table.curvature))
+    assert usable.mean() > 0.99 and usable[table.grades > 0].all()
 
 
 def test_the_cone_holds_exactly_the_mixtures_of_the_lights_wavelengths():
