@@ -7,14 +7,13 @@ folder, its `real/*.hdr` (each under several lamps) and its `truth/room*.npz` (r
 from __future__ import annotations
 
 import argparse
-import inspect
 import json
 import os
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -112,12 +111,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--precision", choices=("exact", "float", "preview"), default="exact")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
     chosen = parser.parse_args(arguments)
-    settings = {}
-    if "precision" in inspect.signature(uplift_pixels).parameters:
-        settings = {"precision": chosen.precision}
-    elif chosen.precision != "exact":
-        parser.error(f"uplift_pixels offers no precision, so not {chosen.precision} either; leave --precision out")
-    groups = measure(*chosen.size, per_family=chosen.lamps, settings=settings)
+    groups = measure(*chosen.size, per_family=chosen.lamps, precision=chosen.precision)
     everything = Sums()
     for sums in groups.values():
         everything = everything.joined(sums)
@@ -128,11 +122,13 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def measure(width: int, height: int, *, per_family: int, settings: dict[str, str]) -> dict[str, Sums]:
+def measure(
+    width: int, height: int, *, per_family: int, precision: Literal["exact", "float", "preview"]
+) -> dict[str, Sums]:
     """Uplift everything there is; return the sums by kind of map."""
     groups: dict[str, Sums] = {}
     for group, rgb, space, cluster, tables in uplifts(width, height, per_family):
-        found = uplift_pixels(rgb, cluster, tables, **settings)
+        found = uplift_pixels(rgb, cluster, tables, precision=precision)
         groups.setdefault(group, Sums()).add(rgb, found, space)
     return groups
 

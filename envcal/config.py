@@ -193,6 +193,8 @@ class UpliftSettings(Settings):
     method: Literal["constrained", "scaled"] = "constrained"
     """`constrained`: under the emission spectrum of each pixel's light. `scaled`: the usual uplift under D65, as
     renderers do it, for comparison."""
+    precision: Literal["exact", "float", "preview"] = "exact"
+    """How far the solver goes: to double precision, to ΔE2000 1e-4 or to 0.05; the lower ones are faster."""
     nodes: Annotated[int, Field(ge=8, le=512)] = 64
     """Nodes along a side of the look-up table; it only sets the starting point of the solver."""
     brightness: Annotated[float, Field(ge=1.05, le=64)] = 2.0

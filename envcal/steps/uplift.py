@@ -128,7 +128,7 @@ def _solver(
     ]
     fallback = "D65, for colours that their own light cannot show"
     emissions.append(Emission(type="fallback", cct=None, duv=None, source=fallback, confidence=1.0, emission=d65))
-    return (lambda rgb, labels: uplift_pixels(rgb, labels, tables)), emissions
+    return (lambda rgb, labels: uplift_pixels(rgb, labels, tables, precision=settings.precision)), emissions
 
 
 def _stored(rgb: Image, solved: Uplifted) -> dict[str, npt.NDArray[Any]]:
