@@ -13,7 +13,7 @@ run: .venv/ready
 	@echo "Open output/report.html in a browser; the spectral map is output/spectra/environment.exr."
 
 test: .venv/ready-dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 slow: .venv/ready-dev
 	$(BIN)/python -m pytest -m slow
