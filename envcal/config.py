@@ -190,9 +190,9 @@ class ClusterSettings(Settings):
 class UpliftSettings(Settings):
     """Map and lights → three coefficients and a scale per pixel."""
 
-    method: Literal["constrained", "scaled"] = "constrained"
-    """`constrained`: under the emission spectrum of each pixel's light. `scaled`: the usual uplift under D65, as
-    renderers do it, for comparison."""
+    method: Literal["constrained", "scaled", "lattice"] = "constrained"
+    """`constrained`: under the emission spectrum of each pixel's light. For comparison, `scaled`: the usual uplift
+    under D65, as renderers do it; `lattice`: the paper's own, a mixture of eight spectra a pixel."""
     precision: Literal["exact", "float", "preview"] = "exact"
     """How far the solver goes: to double precision, to ΔE2000 1e-4 or to 0.05; the lower ones are faster."""
     nodes: Annotated[int, Field(ge=8, le=512)] = 64
