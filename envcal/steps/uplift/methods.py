@@ -162,20 +162,24 @@ def method_of(settings: UpliftSettings, lights: Lights, seen: Observer, space: R
 
 
 def _constrained(settings: UpliftSettings, lights: Lights, seen: Observer, space: RGBSpace) -> Method:
-    from uplift.pixels import uplift_pixels
+    from uplift.pixels import FALLBACK_LIGHTS, fallback_emissions, uplift_pixels
     from uplift.table import build_table
 
     tables = [
         build_table(light.emission, observer=seen, space=space, nodes=settings.nodes, factor=settings.brightness)
         for light in lights.lights
     ]
+    fallbacks = [
+        _emission(emission, type="fallback", source=source)
+        for emission, source in zip(fallback_emissions(seen), FALLBACK_LIGHTS, strict=True)
+    ]
     return Method(
         solve=lambda rgb, labels: _Coefficients(
             uplift_pixels(rgb, labels, tables, precision=settings.precision), seen, space
         ),
-        about=About(method="constrained", **_head(lights, seen, [*_of_lights(lights), _fallback(seen)])),
-        fallback="have colours that their light cannot show; they keep their colour under D65. If they are many, declare "
-        "the light there (`cluster.lights`)",
+        about=About(method="constrained", **_head(lights, seen, [*_of_lights(lights), *fallbacks])),
+        fallback="have colours that their light cannot show; they keep their colour under another. If they are many, "
+        "declare the light there (`cluster.lights`)",
         closest="have colours that no light can show (noise, coloured fringes at the rims of lamps, a poor chart fit)",
         advice="A few at the rims of lamps do no harm; the report shows where they are.",
     )
@@ -183,8 +187,9 @@ def _constrained(settings: UpliftSettings, lights: Lights, seen: Observer, space
 
 def _scaled(lights: Lights, seen: Observer, space: RGBSpace) -> Method:
     from uplift.scaled import uplift_scaled
+    from uplift.spectrum import illuminant
 
-    only = _d65(seen, type="daylight", source="D65 for every pixel")
+    only = _emission(illuminant("D65", seen), type="daylight", source="D65 for every pixel")
     return Method(
         solve=lambda rgb, _labels: _Coefficients(uplift_scaled(rgb, observer=seen, space=space), seen, space),
         about=About(method="scaled", **_head(lights, seen, [only])),
@@ -196,10 +201,13 @@ def _scaled(lights: Lights, seen: Observer, space: RGBSpace) -> Method:
 
 def _lattice(lights: Lights, seen: Observer, space: RGBSpace) -> Method:
     from uplift.lattice import build_cube, build_lattice, uplift_lattice
+    from uplift.spectrum import illuminant
 
     cube = build_cube(observer=seen, space=space)
     lattices = [build_lattice(light.emission, cube) for light in lights.lights]
-    head = _head(lights, seen, [*_of_lights(lights), _fallback(seen)])
+    source = "D65, for dark colours outside the lattice of their own light"
+    fallback = _emission(illuminant("D65", seen), type="fallback", source=source)
+    head = _head(lights, seen, [*_of_lights(lights), fallback])
     return Method(
         solve=lambda rgb, labels: _Mixtures(uplift_lattice(rgb, labels, lattices), cube),
         about=LatticeAbout(cube=CubeRecord.of(cube), **head),
@@ -236,12 +244,5 @@ def _of_lights(lights: Lights) -> list[Emission]:
     ]
 
 
-def _fallback(seen: Observer) -> Emission:
-    return _d65(seen, type="fallback", source="D65, for colours that their own light cannot show")
-
-
-def _d65(seen: Observer, *, type: str, source: str) -> Emission:
-    from uplift.spectrum import illuminant
-
-    d65 = [float(v) for v in illuminant("D65", seen)]
-    return Emission(type=type, cct=None, duv=None, source=source, confidence=1.0, emission=d65)
+def _emission(values: npt.NDArray[np.float64], *, type: str, source: str) -> Emission:
+    return Emission(type=type, cct=None, duv=None, source=source, confidence=1.0, emission=[float(v) for v in values])
