@@ -142,7 +142,8 @@ def build_fan(
     darker = 0.25 + 0.75 / (1 + odds * np.exp(-4.0))
     level = darker / rounded(dimness(faces, colours / largest[..., None]), factor)
     small = np.minimum(1.0, colours @ luminance / largest) * level
-    nodes, reach = _march(weights, t, np.ascontiguousarray(colours), level / largest, _START * small, 1 / factor)
+    nodes, reach = np.zeros((len(colours), ROWS, 5)), np.zeros(len(colours), np.int64)
+    _march(weights, t, np.ascontiguousarray(colours), level / largest, _START * small, 1 / factor, nodes, reach)
     return Fan(sectors, nodes, reach)
 
 
@@ -181,55 +182,43 @@ def _ahead(now, before):  # type: ignore[no-untyped-def]
     return 2.0 * now - before
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _march(weights, t, colours, brightness, tolerance, grey):  # type: ignore[no-untyped-def]
-    """Return nodes [M, ROWS, 5] and how many rows of each ray are solved: along each ray from grey towards the
-    border, darker wherever Newton's method fails.
+@njit(cache=True, error_model="numpy")
+def _ray(weights, t, colours, brightness, tolerance, grey, nodes):  # type: ignore[no-untyped-def]
+    """Write `nodes` [ROWS, 5] of one ray, from grey towards the border, darker wherever Newton's method fails; return
+    how many are solved.
     """
-    rays, rows = colours.shape[0], colours.shape[1]
-    nodes = np.zeros((rays, rows, 5))
-    reach = np.zeros(rays, np.int64)
-    for ray in prange(rays):
-        c0 = c1 = b0 = b1 = middle = before = 0.0
-        c2 = b2 = (grey - 0.5) / np.sqrt(grey * (1.0 - grey))
-        dark = 1.0
-        for row in range(rows):
-            solved = False
-            for attempt in range(7):
-                bright = dark * brightness[ray, row]
-                if attempt == 0:
-                    n0, n1, n2, m = _ahead(c0, b0), c1, _ahead(c2, b2), 2.0 * middle - before
-                    n0, n1, n2, m = about(n0, n1, n2, m)
-                else:
-                    # A dark R is like 1/x².
-                    x = dark**-0.5 if attempt > 1 else 1.0
-                    n0, n1, n2, m = x * c0, x * c1, x * c2, middle
-                n0, n1, n2, error = solve(
-                    weights,
-                    t,
-                    m,
-                    bright * colours[ray, row, 0],
-                    bright * colours[ray, row, 1],
-                    bright * colours[ray, row, 2],
-                    n0,
-                    n1,
-                    n2,
-                    0.1 * dark * tolerance[ray, row],
-                    20,
-                )
-                if error <= dark * tolerance[ray, row]:
-                    solved = True
-                    break
-                if attempt > 0:
-                    dark *= 0.5
-            if not solved:
+    c0 = c1 = b0 = middle = before = 0.0
+    c2 = b2 = (grey - 0.5) / np.sqrt(grey * (1.0 - grey))
+    dark = 1.0
+    for row in range(brightness.size):
+        solved = False
+        for attempt in range(9):
+            # As bright as the row before, then darker and brighter by turns: a single wavelength may be as dark as one
+            # likes, while the ends of the range are what is left where R saturates.
+            change = 1.0 if attempt < 2 else 2.0 ** (attempt // 2 * (2 * (attempt % 2) - 1))
+            bright, limit = change * dark * brightness[row], change * dark * tolerance[row]
+            if attempt == 0:
+                n0, n1, n2, m = about(_ahead(c0, b0), c1, _ahead(c2, b2), 2.0 * middle - before)
+            else:
+                # A dark R is like 1/x².
+                x = max(1.0, change**-0.5)
+                n0, n1, n2, m = x * c0, x * c1, x * c2, middle
+            g0, g1, g2 = bright * colours[row, 0], bright * colours[row, 1], bright * colours[row, 2]
+            n0, n1, n2, error = solve(weights, t, m, g0, g1, g2, n0, n1, n2, 0.1 * limit, 20)
+            if error <= limit:
+                solved = True
+                dark *= change
                 break
-            b0, b1, b2, before = c0, c1, c2, middle
-            c0, c1, c2, middle = about(n0, n1, n2, m)
-            nodes[ray, row, 0] = c0
-            nodes[ray, row, 1] = c1
-            nodes[ray, row, 2] = c2
-            nodes[ray, row, 3] = middle
-            nodes[ray, row, 4] = np.log(bright)
-            reach[ray] = row + 1
-    return nodes, reach
+        if not solved:
+            return row
+        b0, b2, before = c0, c2, middle
+        c0, c1, c2, middle = about(n0, n1, n2, m)
+        nodes[row, 0], nodes[row, 1], nodes[row, 2], nodes[row, 3] = c0, c1, c2, middle
+        nodes[row, 4] = np.log(bright)
+    return brightness.size
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _march(weights, t, colours, brightness, tolerance, grey, nodes, reach):  # type: ignore[no-untyped-def]
+    for ray in prange(reach.size):
+        reach[ray] = _ray(weights, t, colours[ray], brightness[ray], tolerance[ray], grey, nodes[ray])

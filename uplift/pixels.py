@@ -74,19 +74,23 @@ class Uplifted:
     warnings: tuple[str, ...]
 
 
-FALLBACK_LIGHTS = ("D65, for colours that their own light cannot show", "purple, for colours next to the line of purples")
+FALLBACK_LIGHTS = (
+    "D65, for colours that their own light cannot show",
+    "D65 without its middle, for colours next to the line of purples",
+    "the red end of D65, for colours next to it",
+)
 
 
 def fallback_emissions(observer: Observer) -> Float64:
-    """Return the emissions [2, N] of `FALLBACK_LIGHTS`, Y = 1, which `Uplifted.emissions` has after those of the tables.
+    """Return the emissions [3, N] of `FALLBACK_LIGHTS`, Y = 1, which `Uplifted.emissions` has after those of the tables.
 
-    The purple light is D65 without its middle, where a ten-thousandth is left. Two steep ends, which a smooth
-    reflectance cannot have, are then the light's own.
+    Colours of the range's ends take steep flanks under D65, steeper than a smooth reflectance has. So two lights have
+    the flanks themselves, and a ten-thousandth of D65 elsewhere.
     """
     nm = observer.wavelengths_nm
     d65 = illuminant("D65", observer)
-    ends = 1e-4 + 1 / (1 + np.exp((nm - 430.0) / 6.0)) + 1 / (1 + np.exp((660.0 - nm) / 6.0))
-    return np.stack([d65, normalised(d65 * ends, observer)])
+    blue, red = 1 / (1 + np.exp((nm - 430.0) / 6.0)), 1 / (1 + np.exp((655.0 - nm) / 6.0))
+    return np.stack([d65, normalised(d65 * (1e-4 + blue + red), observer), normalised(d65 * (1e-4 + red), observer)])
 
 
 @cache
@@ -167,13 +171,13 @@ def uplift_pixels(
         counts,
     )
     counts = counts.sum(axis=0)
-    every = (*tables, *fallback_tables(first.observer, first.space, first.solved.shape[1], first.factor))
     if counts[_PENDING]:
+        every = (*tables, *fallback_tables(first.observer, first.space, first.solved.shape[1], first.factor))
         where = np.flatnonzero(status == _PENDING)
         _settle_all(where, values, labels, every, coefficients, scale, emission, status)
         counts = counts + np.bincount(status[where], minlength=_PENDING + 1)
     found = {kind: int(counts[kind]) for kind in Status}
-    emissions = np.stack([table.emission for table in every])
+    emissions = np.concatenate([[table.emission for table in tables], fallback_emissions(first.observer)])
     shape = cluster.shape
     return recorded(
         rgb,

@@ -49,7 +49,7 @@ def spectra_of(
     shape, flat = _flat("spectra_of", coefficients, scale, emission_index, lights, grid.size)
     sampled = np.stack([np.interp(wavelengths, grid, light, left=0.0, right=0.0) for light in lights])
     out = np.empty((flat[1].size, wavelengths.size), dtype)
-    _radiance(*flat, sampled, wavelengths, out)
+    _radiance(*flat, sampled, wavelengths, grid[[0, -1]], out)
     return out.reshape((*shape, wavelengths.size))
 
 
@@ -70,7 +70,8 @@ def rgb_of(
     shape, flat = _flat("rgb_of", coefficients, scale, emission_index, lights, observer.wavelengths_nm.size)
     out = np.empty((flat[1].size, 3))
     responses = lights[:, :, None] * observer.cmfs * observer.step_nm
-    _sum(*flat, np.ascontiguousarray(responses), observer.wavelengths_nm.copy(), space.rgb_from_xyz.copy(), out)
+    grid = observer.wavelengths_nm.copy()
+    _sum(*flat, np.ascontiguousarray(responses), grid, grid[[0, -1]], space.rgb_from_xyz.copy(), out)
     return out.reshape((*shape, 3))
 
 
@@ -115,13 +116,13 @@ def _sigmoid(x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _summit(c0, c1, c2, first, last):  # type: ignore[no-untyped-def]
+def _summit(c0, c1, c2, ends):  # type: ignore[no-untyped-def]
     """Return (middle, c0, c1, c2) of the same polynomial in λ − middle, at its summit within the wavelengths.
 
     In λ the terms of a narrow peak cancel to a millionth of their size; products with the middle, a multiple of a
     quarter of a nanometre, are exact in halves of a float64 (Dekker 1971), and so is nearly everything here.
     """
-    middle = min(last, max(first, -0.5 * c1 / c0)) if c0 != 0.0 else first
+    middle = min(ends[1], max(ends[0], -0.5 * c1 / c0)) if c0 != 0.0 else ends[0]
     # A black pixel has c2 = −∞, and needs no middle.
     if not (np.isfinite(c2) and np.isfinite(middle)):
         return 0.0, c0, c1, c2
@@ -143,10 +144,9 @@ def _summit(c0, c1, c2, first, last):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def _radiance(coefficients, scale, index, sampled, wavelengths, out):  # type: ignore[no-untyped-def]
-    first, last = wavelengths.min(), wavelengths.max()
+def _radiance(coefficients, scale, index, sampled, wavelengths, ends, out):  # type: ignore[no-untyped-def]
     for p in prange(scale.size):
-        middle, c0, c1, c2 = _summit(coefficients[p, 0], coefficients[p, 1], coefficients[p, 2], first, last)
+        middle, c0, c1, c2 = _summit(coefficients[p, 0], coefficients[p, 1], coefficients[p, 2], ends)
         for i in range(wavelengths.size):
             d = wavelengths[i] - middle
             x = (c0 * d + c1) * d + c2
@@ -154,10 +154,9 @@ def _radiance(coefficients, scale, index, sampled, wavelengths, out):  # type: i
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def _sum(coefficients, scale, index, responses, wavelengths, rgb_from_xyz, out):  # type: ignore[no-untyped-def]
-    first, last = wavelengths.min(), wavelengths.max()
+def _sum(coefficients, scale, index, responses, wavelengths, ends, rgb_from_xyz, out):  # type: ignore[no-untyped-def]
     for p in prange(scale.size):
-        middle, c0, c1, c2 = _summit(coefficients[p, 0], coefficients[p, 1], coefficients[p, 2], first, last)
+        middle, c0, c1, c2 = _summit(coefficients[p, 0], coefficients[p, 1], coefficients[p, 2], ends)
         X = Y = Z = 0.0
         for i in range(wavelengths.size):
             d = wavelengths[i] - middle

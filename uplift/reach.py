@@ -1,9 +1,8 @@
 """Pixels that no cell of a table answers: colours near the border of what their light can show, and beyond it.
 
 Each starts from its light's `Fan` and is solved by Newton's method about its own summit. If its light cannot show it,
-the lights of the other clusters are tried, the one of the nearest colour first, then D65, then a purple light: under
-it smooth reflectances come near the line of purples, which takes two steep ends under any other. What none can show is
-mixed with white.
+the lights of the other clusters are tried, the one of the nearest colour first, then D65, then two lights for the ends
+of the range. What none can show is mixed with white.
 """
 
 from __future__ import annotations
@@ -134,8 +133,8 @@ def _settled(  # type: ignore[no-untyped-def]
                 kind = CLOSEST if closest else (EXACT if turn == 0 else FALLBACK)
                 c0, c1, c2 = stored(c0, c1, c2, nm)
                 return kind, light, c0, c1, c2, size / bright
-        # Only white of its own light, or of D65, the last but one.
-        if turn == 0 or turn == lights - 2:
+        # Only white of its own light, or of D65, after which two others come.
+        if turn == 0 or turn == lights - 3:
             part = 1.0 / (1.0 + np.exp(FIRST_ROW + ROW_STEP * (min(limit, p) - _ROOM)))
             wanted = part * (alpha + rest) - alpha
             share = wanted / (wanted + white * (1.0 - part))

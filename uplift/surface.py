@@ -56,7 +56,11 @@ def grades_of(
     """Return grades and curvature [3, n-1, n-1] of the cells of a table: what each is good for, and C such that a Newton
     step from there leaves a residual below C times the square of the one before.
     """
-    curvature, asked, shown = _tried(weights, t, nodes, solved, surface)
+    cells = nodes.shape[1] - 1
+    curvature = np.empty((3, cells, cells))
+    asked, shown = np.ones((3, cells, cells, 2, 3)), np.ones((3, cells, cells, 2, 3))
+    flat = np.ascontiguousarray(surface[..., 0, :])
+    _tried(weights, t, nodes, solved, surface, flat, curvature, asked, shown)
     difference = delta_e_2000(asked @ rgb_from_axes.T, shown @ rgb_from_axes.T, space, white=None)
     usable = np.isfinite(curvature)
     # Twice and thrice: the worst point of a cell was not among those tried.
@@ -131,57 +135,59 @@ def permuted(m, largest, second, third):  # type: ignore[no-untyped-def]
     return second, third, largest
 
 
+@njit(cache=True, error_model="numpy")
+def _cell(weights, t, nodes, solved, surface, flat, m, i, j, asked, shown):  # type: ignore[no-untyped-def]
+    """Try one cell; write the colours to `asked` and `shown` [2, 3], and return its curvature."""
+    n = nodes.shape[1]
+    if not (solved[m, i, j] and solved[m, i, j + 1] and solved[m, i + 1, j] and solved[m, i + 1, j + 1]):
+        return np.inf
+    steepest = max(abs(nodes[m, i, j, 0]), abs(nodes[m, i, j + 1, 0]))
+    if max(steepest, abs(nodes[m, i + 1, j, 0]), abs(nodes[m, i + 1, j + 1, 0])) > _NARROW:
+        return np.inf
+    largest = g0 = g1 = g2 = 0.0
+    for point in range(6):
+        # First the middle by both ways, then the four quarters.
+        p, q = 0.5, 0.5
+        if point > 1:
+            p, q = 0.25 + 0.5 * (point % 2), 0.25 + 0.5 * (point // 4)
+        d0, d1, d2 = permuted(m, 1.0, (i + p) / (n - 1), (j + q) / (n - 1))
+        if point == 0:
+            c0, c1, c2, dimness = linear(flat, m, i, j, p, q)
+        else:
+            c0, c1, c2, dimness = cubic(surface, m, i, j, p, q)
+        f = integrals(weights, t, 0.0, c0, c1, c2)
+        f0, f1, f2 = f[0] * dimness, f[1] * dimness, f[2] * dimness
+        error = max(abs(f0 - d0), abs(f1 - d1), abs(f2 - d2)) / dimness
+        # Not "greater": that would let NaN pass.
+        if point == 0 or not error <= largest:
+            way = min(point, 1)
+            asked[way, 0], asked[way, 1], asked[way, 2] = d0, d1, d2
+            shown[way, 0], shown[way, 1], shown[way, 2] = f0, f1, f2
+        if point > 0:
+            largest = max(largest, error)
+        if point == 1:
+            g0, g1, g2 = d0 / dimness, d1 / dimness, d2 / dimness
+    before, after = 1.0, 1.0
+    c0, c1, c2 = nodes[m, i, j, 0], nodes[m, i, j, 1], nodes[m, i, j, 2]
+    for _ in range(2):
+        before = after
+        c0, c1, c2, after = newton(weights, t, g0, g1, g2, c0, c1, c2)
+    found = 4.0 * after / (before * before)
+    return found if found * largest < 0.5 else np.inf
+
+
 @njit(cache=True, error_model="numpy", parallel=True)
-def _tried(weights, t, nodes, solved, surface):  # type: ignore[no-untyped-def]
-    """Return curvature [3, n-1, n-1], and colours asked and shown [3, n-1, n-1, 2, 3]: the middle of each cell looked
+def _tried(weights, t, nodes, solved, surface, flat, curvature, asked, shown):  # type: ignore[no-untyped-def]
+    """Write curvature [3, n-1, n-1], and colours asked and shown [3, n-1, n-1, 2, 3]: the middle of each cell looked
     up linearly, and the worst of five points looked up cubically.
 
     The curvature is measured on the way from a corner to the middle. Infinite where a corner is unsolved or narrow, or
     Newton's method would not converge quickly.
     """
-    n = nodes.shape[1]
-    curvature = np.full((3, n - 1, n - 1), np.inf)
-    asked = np.ones((3, n - 1, n - 1, 2, 3))
-    shown = np.ones((3, n - 1, n - 1, 2, 3))
-    for line in prange(3 * (n - 1)):
-        m, i = line // (n - 1), line % (n - 1)
-        for j in range(n - 1):
-            if not (solved[m, i, j] and solved[m, i, j + 1] and solved[m, i + 1, j] and solved[m, i + 1, j + 1]):
-                continue
-            steepest = max(
-                abs(nodes[m, i, j, 0]), abs(nodes[m, i, j + 1, 0]), abs(nodes[m, i + 1, j, 0]), abs(nodes[m, i + 1, j + 1, 0])
+    cells = curvature.shape[1]
+    for line in prange(3 * cells):
+        m, i = line // cells, line % cells
+        for j in range(cells):
+            curvature[m, i, j] = _cell(
+                weights, t, nodes, solved, surface, flat, m, i, j, asked[m, i, j], shown[m, i, j]
             )
-            if steepest > _NARROW:
-                continue
-            largest = 0.0
-            g0 = g1 = g2 = 0.0
-            for point in range(6):
-                # First the middle by both ways, then the four quarters.
-                p, q = 0.5, 0.5
-                if point > 1:
-                    p, q = 0.25 + 0.5 * (point % 2), 0.25 + 0.5 * (point // 4)
-                d0, d1, d2 = permuted(m, 1.0, (i + p) / (n - 1), (j + q) / (n - 1))
-                c0, c1, c2, dimness = cubic(surface, m, i, j, p, q)
-                if point == 0:
-                    c0, c1, c2, dimness = linear(surface[:, :, :, 0], m, i, j, p, q)
-                f = integrals(weights, t, 0.0, c0, c1, c2)
-                f0, f1, f2 = f[0] * dimness, f[1] * dimness, f[2] * dimness
-                error = max(abs(f0 - d0), abs(f1 - d1), abs(f2 - d2)) / dimness
-                # Not "greater": that would let NaN pass.
-                if point == 0 or not error <= largest:
-                    way = min(point, 1)
-                    asked[m, i, j, way, 0], asked[m, i, j, way, 1], asked[m, i, j, way, 2] = d0, d1, d2
-                    shown[m, i, j, way, 0], shown[m, i, j, way, 1], shown[m, i, j, way, 2] = f0, f1, f2
-                if point > 0:
-                    largest = max(largest, error)
-                if point == 1:
-                    g0, g1, g2 = d0 / dimness, d1 / dimness, d2 / dimness
-            before, after = 1.0, 1.0
-            c0, c1, c2 = nodes[m, i, j, 0], nodes[m, i, j, 1], nodes[m, i, j, 2]
-            for _ in range(2):
-                before = after
-                c0, c1, c2, after = newton(weights, t, g0, g1, g2, c0, c1, c2)
-            found = 4.0 * after / (before * before)
-            if found * largest < 0.5:
-                curvature[m, i, j] = found
-    return curvature, asked, shown

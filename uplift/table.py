@@ -103,7 +103,12 @@ def build_table(
     cone, corners = cone_of(weights, G_from_xyz)
     t = normalised_wavelengths(observer)
     faces = faces_of(weights)
-    field, solved = _fill(weights, t, cone, _levels(faces, nodes, factor))
+    levels = _levels(faces, nodes, factor)
+    field, solved = np.zeros((3, nodes, nodes, 4)), np.zeros((3, nodes, nodes), np.bool_)
+    field[:, -1, -1, 2:] = [[(top - 0.5) / np.sqrt(top * (1 - top)), top] for top in levels[:, -1, -1]]
+    solved[:, -1, -1] = True
+    for edge in (True, False):
+        _fill(weights, t, cone, levels, field, solved, edge)
     surface = surface_of(field)
     coarse = np.concatenate([coefficients_in_nm(field[..., :3], *normalisation(observer)), surface[..., 0, 3:]], axis=3)
     rgb_from_axes = np.asarray(np.linalg.inv(axes), dtype=np.float64)
@@ -197,23 +202,19 @@ def _node(weights, t, cone, nodes, solved, m, i, j, step_i, step_j, level):  # t
         more = 0.0
 
 
+@njit(cache=True, error_model="numpy")
+def _line(weights, t, cone, levels, nodes, solved, m, j, edge):  # type: ignore[no-untyped-def]
+    """Solve an edge of the table from grey, or a line of it from its end on that edge."""
+    last = levels.shape[1] - 1
+    for k in range(last - 1, -1, -1):
+        i, column = (last, k) if edge else (k, j)
+        step = 0 if edge else 1
+        _node(weights, t, cone, nodes, solved, m, i, column, step, 1 - step, levels[m, i, column])
+
+
 @njit(cache=True, error_model="numpy", parallel=True)
-def _fill(weights, t, cone, levels):  # type: ignore[no-untyped-def]
-    """Return nodes [3, n, n, 4] and solved [3, n, n]: from grey along one edge, from there along each line."""
-    n = levels.shape[1]
-    nodes = np.zeros((3, n, n, 4))
-    solved = np.zeros((3, n, n), np.bool_)
-    for edge in range(2):
-        # First the lines' ends, one after the other; then the lines, each for itself.
-        for line in prange(3 * n if edge else 3):
-            m, j = (line // n, line % n) if edge else (line, n - 1)
-            if not edge:
-                top = levels[m, j, j]
-                nodes[m, j, j, 2], nodes[m, j, j, 3] = (top - 0.5) / np.sqrt(top * (1 - top)), top
-                solved[m, j, j] = True
-            for k in range(n - 2, -1, -1):
-                if edge:
-                    _node(weights, t, cone, nodes, solved, m, k, j, 1, 0, levels[m, k, j])
-                else:
-                    _node(weights, t, cone, nodes, solved, m, n - 1, k, 0, 1, levels[m, n - 1, k])
-    return nodes, solved
+def _fill(weights, t, cone, levels, nodes, solved, edge):  # type: ignore[no-untyped-def]
+    """Write nodes [3, n, n, 4] and solved [3, n, n]: the edges' first, then every line's."""
+    n = 1 if edge else levels.shape[1]
+    for line in prange(3 * n):
+        _line(weights, t, cone, levels, nodes, solved, line // n, line % n, edge)
