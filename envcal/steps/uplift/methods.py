@@ -64,10 +64,22 @@ class Method:
 @dataclass(frozen=True, slots=True)
 class _Coefficients:
     found: Uplifted
+    written: npt.NDArray[np.float32]
     seen: Observer
     space: RGBSpace
 
-    visited = 0
+    @classmethod
+    def of(cls, found: Uplifted, seen: Observer, space: RGBSpace) -> _Coefficients:
+        """A pixel without radiance gets the coefficients of grey, not of black, whose −∞ would turn into NaN in the
+        formula that the file documents."""
+        from uplift.storage import stored_coefficients
+
+        values = np.where((found.scale == 0)[..., np.newaxis], 0.0, found.coefficients)
+        return cls(found, stored_coefficients(values, observer=seen), seen, space)
+
+    @property
+    def visited(self) -> int:
+        return 0
 
     @property
     def status(self) -> npt.NDArray[np.uint8]:
@@ -82,11 +94,7 @@ class _Coefficients:
         return self.found.counts
 
     def planes(self) -> Planes:
-        """A pixel without radiance gets the coefficients of grey, not of black, whose −∞ would turn into NaN in the
-        formula that the file documents."""
-        dark = self.scale == 0
-        coefficients = np.where(dark[..., np.newaxis], 0.0, self.found.coefficients).astype(np.float32)
-        planes: Planes = {f"c{k}": coefficients[..., k] for k in range(3)}
+        planes: Planes = {f"c{k}": self.written[..., k] for k in range(3)}
         return planes | {
             "scale": self.scale.astype(np.float32),
             "cluster": self.found.emission,
@@ -98,7 +106,7 @@ class _Coefficients:
 
         coefficients, scale = self.found.coefficients[chosen], self.scale[chosen]
         if stored:
-            coefficients, scale = _as_stored(coefficients), _as_stored(scale)
+            coefficients, scale = self.written[chosen].astype(np.float64), _as_stored(scale)
         emission, emissions = self.found.emission[chosen], self.found.emissions
         return rgb_of(coefficients, scale, emission, emissions, observer=self.seen, space=self.space)
 
@@ -174,7 +182,7 @@ def _constrained(settings: UpliftSettings, lights: Lights, seen: Observer, space
         for emission, source in zip(fallback_emissions(seen), FALLBACK_LIGHTS, strict=True)
     ]
     return Method(
-        solve=lambda rgb, labels: _Coefficients(
+        solve=lambda rgb, labels: _Coefficients.of(
             uplift_pixels(rgb, labels, tables, precision=settings.precision), seen, space
         ),
         about=About(method="constrained", **_head(lights, seen, [*_of_lights(lights), *fallbacks])),
@@ -191,7 +199,7 @@ def _scaled(lights: Lights, seen: Observer, space: RGBSpace) -> Method:
 
     only = _emission(illuminant("D65", seen), type="daylight", source="D65 for every pixel")
     return Method(
-        solve=lambda rgb, _labels: _Coefficients(uplift_scaled(rgb, observer=seen, space=space), seen, space),
+        solve=lambda rgb, _labels: _Coefficients.of(uplift_scaled(rgb, observer=seen, space=space), seen, space),
         about=About(method="scaled", **_head(lights, seen, [only])),
         fallback="",
         closest="have negative components, or colours that no reflectance has at half their brightness under D65",

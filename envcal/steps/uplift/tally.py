@@ -18,17 +18,22 @@ if TYPE_CHECKING:
 Image = npt.NDArray[np.float32]
 
 
+#: ΔE2000 from which a pixel that came back otherwise than it went in is worth a word.
+VISIBLE = 0.1
+
+
 class _Differences:
     """The mean and the largest of colour differences that come in parts."""
 
     def __init__(self) -> None:
-        self.count = self.nan = 0
+        self.count = self.nan = self.visible = 0
         self.sum = self.largest = 0.0
 
     def add(self, values: npt.NDArray[np.float64]) -> None:
         kept = values[~np.isnan(values)]
         self.nan += values.size - kept.size
         self.count += values.size
+        self.visible += int((kept > VISIBLE).sum())
         if kept.size:
             self.sum, self.largest = self.sum + float(kept.sum()), max(self.largest, float(kept.max()))
 
@@ -115,6 +120,11 @@ class Tally:
             warnings.append(
                 f"{of(Status.CLOSEST)} {self._method.closest}; they moved by ΔE2000 {shift['mean']:.3g} on average and up "
                 f"to {shift['max']:.3g}{dark}. {self._method.advice}"
+            )
+        if self._stored.visible:
+            warnings.append(
+                f"{self._stored.visible} of {pixels} pixels of very pure colours lose some of it in the file's 32 bits: up to "
+                f"ΔE2000 {self._stored.largest:.2g}."
             )
         if self._counts[Status.MISSING]:
             warnings.append(
