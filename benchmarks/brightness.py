@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uplift.difference import delta_e_2000
-from uplift.illuminants import FAMILIES, family_emission
+from uplift.illuminants import FAMILIES, cct_duv_of, family_emission
 from uplift.pixels import uplift_pixels
 from uplift.radiance import spectra_of
 from uplift.scaled import uplift_scaled
@@ -163,21 +163,31 @@ def errors(
     *,
     factors: Sequence[float] = FACTORS,
     white: str = "pixel",
+    given: str = "true",
 ) -> Iterator[Error]:
-    """Yield the error of one lamp for each factor, then that of the scaled uplift."""
+    """Yield the error of one lamp for each factor, then that of the scaled uplift.
+
+    `given` "true": the uplift knows the lamp's spectrum; "smooth": its colour temperature alone, as of an undeclared one.
+    """
     true = paths * lamp.emission
     rgb = (true @ eyes.cmfs * eyes.step_nm @ space.rgb_from_xyz.T)[None]
     alone = np.zeros(rgb.shape[:2], np.uint32)
+    emission = lamp.emission if given == "true" else _smooth(lamp, eyes)
     for factor in (*factors, None):
         if factor is None:
             found = uplift_scaled(rgb, observer=eyes, space=space)
         else:
-            table = build_table(lamp.emission, observer=eyes, space=space, factor=factor)
+            table = build_table(emission, observer=eyes, space=space, factor=factor)
             found = uplift_pixels(rgb, alone, [table])
         spectra = spectra_of(
             found.coefficients, found.scale, found.emission, found.emissions, eyes.wavelengths_nm, observer=eyes
         )[0]
         yield Error(lamp, space.name, factor, relight_error(true, spectra, surfaces, eyes, space, white=white))
+
+
+def _smooth(lamp: Lamp, eyes: Observer) -> Float64:
+    low, high = FAMILIES["smooth"].low_k, FAMILIES["smooth"].high_k
+    return family_emission("smooth", float(np.clip(cct_duv_of(lamp.emission, eyes)[0], low, high)), eyes)
 
 
 def by_family(found: Sequence[Error]) -> dict[tuple[str, str], dict[float | None, float]]:
@@ -229,6 +239,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--stride", type=int, default=8, help="take every n-th row and column of a room")
     parser.add_argument("--factors", default=",".join(f"{f:g}" for f in FACTORS), help="comma-separated; 2 is added")
     parser.add_argument("--white", choices=["pixel", "space"], default="pixel", help="CIELAB's white")
+    parser.add_argument("--given", choices=["true", "smooth"], default="true", help="what the uplift knows of the lamp")
     parser.add_argument("--family", choices=LAMP_FAMILIES, help="one family alone")
     parser.add_argument("--json", type=Path, help="also write the figures there")
     options = parser.parse_args(arguments)
@@ -242,12 +253,16 @@ def main(arguments: list[str] | None = None) -> int:
     paths = transports(eyes, folder=folder, stride=options.stride)
     surfaces = reflectances(eyes, folder=folder)
     chosen = [lamp for lamp in lamps(eyes, folder=folder, every=options.every) if options.family in (None, lamp.family)]
-    print(f"{len(chosen)} lamps, {len(paths)} pixels, {len(surfaces)} reflectances, white: {options.white}\n")
+    print(
+        f"{len(chosen)} lamps, {len(paths)} pixels, {len(surfaces)} reflectances, white: {options.white}, spectrum: {options.given}\n"
+    )
     found: list[Error] = []
     for name in SPACES:
         space = rgb_space(name, observer=eyes)
         for done, lamp in enumerate(chosen):
-            found += errors(lamp, paths, surfaces, eyes, space, factors=factors, white=options.white)
+            found += errors(
+                lamp, paths, surfaces, eyes, space, factors=factors, white=options.white, given=options.given
+            )
             if sys.stderr.isatty():
                 print(f"\r{name}: {done + 1} of {len(chosen)}", end="", file=sys.stderr)
     print(report(found))

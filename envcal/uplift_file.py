@@ -123,7 +123,7 @@ class LatticeAbout(_Head):
 
         nodes, seen = self.cube.nodes(), self.seen()
         t = np.linspace(-1.0, 1.0, len(self.wavelengths_nm))
-        filled: npt.NDArray[np.bool_] = np.isfinite(nodes).all(axis=3)
+        filled = np.asarray(np.isfinite(nodes).all(axis=3), np.bool_)
         return Cube(
             seen, rgb_space(self.space, observer=seen), t, np.where(filled[..., np.newaxis], nodes, 0.0), filled
         )
