@@ -17,7 +17,7 @@ from envcal.cli import main
 from envcal.config import Pipeline
 from envcal.stages import STAGES
 from uplift.pixels import Status
-from uplift.radiance import rgb_of, spectra_of
+from uplift.radiance import spectra_of
 from uplift.spectrum import observer, rgb_space
 
 ROOT = Path(__file__).parent.parent
@@ -312,14 +312,32 @@ def test_a_profile_applied_by_hand_gives_what_the_commands_give(tmp_path, monkey
     np.testing.assert_allclose(left["balanced"], balanced, rtol=0, atol=FLOAT32_TWICE)
 
 
-def test_the_uplift_stands_alone_as_the_index_shows(tmp_path, monkeypatch, capsys):
-    left = run_example(DOCS / "README.md", tmp_path, monkeypatch)
-    found, radiance = left["found"], left["radiance"]
-    assert radiance.shape == (4, 8, 31)
-    assert "(4, 8, 31)" in capsys.readouterr().out
-    assert (radiance >= 0).all()
+def test_the_uplift_stands_alone_as_the_page_of_its_functions_shows(tmp_path, monkeypatch):
+    blocks = python_blocks(DOCS / "api.md")
+    assert len(blocks) == 4
+    (tmp_path / "notebook.py").write_text("\n".join(blocks), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    left = runpy.run_path(str(tmp_path / "notebook.py"))
+    found, seen, rgb = left["found"], left["seen"], left["rgb"]
     # What is exact under one of the lights comes back; nothing here is moved.
     assert set(np.unique(found.status)) <= {Status.EXACT, Status.FALLBACK}
-    seen, space = left["seen"], rgb_space("sRGB", observer=left["seen"])
-    back = rgb_of(found.coefficients, found.scale, found.emission, found.emissions, observer=seen, space=space)
-    np.testing.assert_allclose(back, left["rgb"], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(left["back"], rgb, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(left["xyz"][..., 1], rgb @ rgb_space("sRGB").luminance_weights, rtol=1e-9)
+    # The bands on disk are samples of the spectra, and a ray in the middle of a texel sees one of them.
+    whole = (found.coefficients, found.scale, found.emission, found.emissions)
+    bands = spectra_of(*whole, left["bands_nm"], observer=seen)
+    np.testing.assert_allclose(np.load(tmp_path / "bands.npy"), bands, rtol=FLOAT32)
+    rays, wavelengths = left["seen_by_ray"], left["wavelengths_nm"]
+    for ray in range(0, 1000, 97):
+        column, row = left["column"][ray], left["row"][ray]
+        corners = spectra_of(*whole, wavelengths[ray], observer=seen)[row : row + 2][:, [column, (column + 1) % 8]]
+        assert (corners.min(axis=(0, 1)) <= rays[ray] * (1 + SAME_FORMULA)).all()
+        assert (rays[ray] <= corners.max(axis=(0, 1)) * (1 + SAME_FORMULA)).all()
+
+
+def test_the_page_of_the_functions_names_what_exists():
+    import importlib
+
+    for module, name in re.findall(r"`([a-z]+)\.([a-z_0-9]+)(?=[(`])", text_of(DOCS / "api.md")):
+        if module not in ("uplift", "space"):
+            assert hasattr(importlib.import_module(f"uplift.{module}"), name), f"{module}.{name}"
