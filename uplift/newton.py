@@ -26,25 +26,23 @@ def integrals(weights, t, middle, c0, c1, c2):  # type: ignore[no-untyped-def]
         x = (c0 * tk + c1) * tk + c2
         inverse = 1.0 / (1.0 + x * x)
         root = np.sqrt(inverse)
-        s = 0.5 + 0.5 * x * root
-        d = 0.5 * root * inverse
+        half = 0.5 * root
+        s, d = 0.5 + x * half, half * inverse
+        dt = d * tk
+        dtt = dt * tk
         w0, w1, w2 = weights[0, k], weights[1, k], weights[2, k]
         f0 += w0 * s
         f1 += w1 * s
         f2 += w2 * s
-        d0, d1, d2 = w0 * d, w1 * d, w2 * d
-        j02 += d0
-        j12 += d1
-        j22 += d2
-        d0 *= tk
-        d1 *= tk
-        d2 *= tk
-        j01 += d0
-        j11 += d1
-        j21 += d2
-        j00 += d0 * tk
-        j10 += d1 * tk
-        j20 += d2 * tk
+        j00 += w0 * dtt
+        j01 += w0 * dt
+        j02 += w0 * d
+        j10 += w1 * dtt
+        j11 += w1 * dt
+        j12 += w1 * d
+        j20 += w2 * dtt
+        j21 += w2 * dt
+        j22 += w2 * d
     return f0, f1, f2, j00, j01, j02, j10, j11, j12, j20, j21, j22
 
 

@@ -31,7 +31,7 @@ from numba import njit, prange
 from uplift import UpliftError
 from uplift.difference import delta_e_2000
 from uplift.newton import newton
-from uplift.polynomial import about, in_nm, stored
+from uplift.polynomial import TRIES, about, in_nm, stored
 from uplift.radiance import rgb_of, spectra_of
 from uplift.reach import settle
 from uplift.sigmoid import normalisation
@@ -39,7 +39,16 @@ from uplift.spectrum import Float64, Observer, RGBSpace, illuminant, normalised,
 from uplift.surface import CUBIC, LINEAR, cell_of, cubic, linear
 from uplift.table import Table, build_table
 
-__all__ = ["FALLBACK_LIGHTS", "Status", "Uplifted", "fallback_emissions", "fallback_tables", "rgb_of", "spectra_of", "uplift_pixels"]
+__all__ = [
+    "FALLBACK_LIGHTS",
+    "Status",
+    "Uplifted",
+    "fallback_emissions",
+    "fallback_tables",
+    "rgb_of",
+    "spectra_of",
+    "uplift_pixels",
+]
 
 
 class Status(IntEnum):
@@ -174,7 +183,7 @@ def uplift_pixels(
     if counts[_PENDING]:
         every = (*tables, *fallback_tables(first.observer, first.space, first.solved.shape[1], first.factor))
         where = np.flatnonzero(status == _PENDING)
-        _settle_all(where, values, labels, every, coefficients, scale, emission, status)
+        _settle_all(where, values, labels, every, precision, coefficients, scale, emission, status)
         counts = counts + np.bincount(status[where], minlength=_PENDING + 1)
     found = {kind: int(counts[kind]) for kind in Status}
     emissions = np.concatenate([[table.emission for table in tables], fallback_emissions(first.observer)])
@@ -197,6 +206,7 @@ def _settle_all(
     values: npt.NDArray[np.floating],
     labels: npt.NDArray[np.uint32],
     tables: tuple[Table, ...],
+    precision: Precision,
     coefficients: Float64,
     scale: Float64,
     emission: npt.NDArray[np.uint32],
@@ -226,6 +236,7 @@ def _settle_all(
         np.concatenate([fan.nodes for fan in fans]),
         np.concatenate([fan.reach for fan in fans]),
         np.cumsum([0, *(fan.reach.size for fan in fans)]),
+        TRIES if precision == "exact" else 1,
         coefficients,
         scale,
         emission,
@@ -315,8 +326,23 @@ _CANCELLING = 64.0  # of c2 for λ in nm: from there on the three coefficients a
 
 @njit(cache=True, error_model="numpy", parallel=True)
 def _look_up(  # type: ignore[no-untyped-def]
-    rgb, cluster, precision, axes, weights, t, surfaces, coarse, grades, curvatures, luminance_weights, a_and_b,
-    coefficients, scale, emission, status, counts,
+    rgb,
+    cluster,
+    precision,
+    axes,
+    weights,
+    t,
+    surfaces,
+    coarse,
+    grades,
+    curvatures,
+    luminance_weights,
+    a_and_b,
+    coefficients,
+    scale,
+    emission,
+    status,
+    counts,
 ):
     a, b = a_and_b[0], a_and_b[1]
     size = scale.size
@@ -358,7 +384,7 @@ def _look_up(  # type: ignore[no-untyped-def]
                     if precision == _ALL and abs(n2) > _CANCELLING:
                         c0, c1, c2, summit = about(c0, c1, c2, 0.0)
                         c0, c1, c2, summit = in_nm(c0, c1, c2, summit, a, b)
-                        c0, c1, c2 = stored(c0, c1, c2, summit)
+                        c0, c1, c2 = stored(c0, c1, c2, summit, TRIES)
                     else:
                         c0, c1, c2 = c0 * (b * b), n1, n2
             coefficients[index, 0] = c0

@@ -12,7 +12,7 @@ from numba import njit
 
 _SPLIT = 134217729.0  # 2²⁷ + 1, after Dekker (1971): the halves of a float64
 _ENOUGH = 1e-13  # of x, at the summit and on its flanks; it moves a colour by ΔE2000 10⁻¹¹ at most
-_TRIES = 600  # a peak of one wavelength takes a few hundred, most others one
+TRIES = 600  # a peak of one wavelength takes a few hundred, most others one
 
 
 @njit(cache=True, error_model="numpy")
@@ -40,15 +40,15 @@ def in_nm(c0, c1, c2, middle, a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def stored(c0, c1, c2, middle):  # type: ignore[no-untyped-def]
-    """Return coefficients for λ in nm, of coefficients for λ − `middle` as `in_nm` returns them. For compiled code
-    only.
+def stored(c0, c1, c2, middle, tries):  # type: ignore[no-untyped-def]
+    """Return coefficients for λ in nm, of coefficients for λ − `middle` as `in_nm` returns them, from as many
+    `tries` as it takes. For compiled code only.
     """
     width = min(100.0, 4.0 / np.sqrt(abs(c0) + 1e-12))
     last_place = abs(c0) * 2.0**-52
     best, s0, s1, s2 = np.inf, c0, c1, c2
     square = middle * middle
-    for attempt in range(_TRIES):
+    for attempt in range(tries):
         n0 = c0 + (attempt // 2 if attempt % 2 == 0 else -1 - attempt // 2) * last_place
         h = n0 * _SPLIT
         high = h - (h - n0)

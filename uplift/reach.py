@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from uplift.gamut import FIRST_ROW, LAST_ROW, ROW_STEP
+from uplift.gamut import FIRST_ROW, ROW_STEP
 from uplift.newton import solve
 from uplift.polynomial import about, in_nm, stored
 
@@ -70,20 +70,56 @@ def _start(nodes, j, following, p, s):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _settled(  # type: ignore[no-untyped-def]
-    red, green, blue, own, order, axes, white_sums, luminance_weights, weights, wavelengths, a, b, sectors, nodes, reach, firsts
-):
-    """Return (kind, light, c0, c1, c2, scale) of any pixel at all."""
+def _kind_of(luminance_weights, red, green, blue):  # type: ignore[no-untyped-def]
+    """Return (kind, size, luminance): EXACT where there is something to solve."""
     size = max(abs(red), abs(green), abs(blue))
     if not np.isfinite(red + green + blue):
-        return MISSING, own, 0.0, 0.0, -np.inf, 0.0
+        return MISSING, 1.0, 0.0
     if size == 0.0:
-        return BLACK, own, 0.0, 0.0, -np.inf, 0.0
-    red, green, blue = red / size, green / size, blue / size
-    y = luminance_weights[0] * red + luminance_weights[1] * green + luminance_weights[2] * blue
+        return BLACK, 1.0, 0.0
+    # Divided first: the luminance of the smallest numbers would be zero.
+    y = (
+        luminance_weights[0] * (red / size)
+        + luminance_weights[1] * (green / size)
+        + luminance_weights[2] * (blue / size)
+    )
     # What has no luminance is outside of every cone of light.
-    if not y > 0.0:
-        return CLOSEST, own, 0.0, 0.0, -np.inf, 0.0
+    return EXACT if y > 0.0 else CLOSEST, size, y
+
+
+@njit(cache=True, error_model="numpy")
+def _share(p, alpha, rest, white):  # type: ignore[no-untyped-def]
+    """Return the share of white of the same luminance, of X + Y + Z `white`, that brings a colour to row `p`."""
+    part = 1.0 / (1.0 + np.exp(FIRST_ROW + ROW_STEP * p))
+    wanted = part * (alpha + rest) - alpha
+    return wanted / (wanted + white * (1.0 - part))
+
+
+@njit(cache=True, error_model="numpy")
+def _settled(  # type: ignore[no-untyped-def]
+    red,
+    green,
+    blue,
+    own,
+    order,
+    axes,
+    white_sums,
+    luminance_weights,
+    weights,
+    wavelengths,
+    a,
+    b,
+    sectors,
+    nodes,
+    reach,
+    firsts,
+    tries,
+):
+    """Return (kind, light, c0, c1, c2, scale) of any pixel at all."""
+    kind, size, y = _kind_of(luminance_weights, red, green, blue)
+    if kind != EXACT:
+        return kind, own, 0.0, 0.0, -np.inf, 0.0
+    red, green, blue = red / size, green / size, blue / size
     lights = order.shape[1]
     least, mixed_with = np.inf, own
     for turn in range(lights + 1):
@@ -107,10 +143,8 @@ def _settled(  # type: ignore[no-untyped-def]
         for trial in range(40 if closest else _TRIALS):
             share = 0.0
             if closest:
-                # The share of white, at this luminance, that brings α to the wanted part of the whole.
                 p = max(0.0, limit - _ROOM - trial)
-                part = 1.0 / (1.0 + np.exp(FIRST_ROW + ROW_STEP * p))
-                share = (part * (alpha + rest) - alpha) / (part * (alpha + rest) - alpha + white * (1.0 - part))
+                share = _share(p, alpha, rest, white)
             elif not within:
                 break
             M0, M1, M2 = G0 + share * (y - G0), G1 + share * (y - G1), G2 + share * (y - G2)
@@ -131,13 +165,11 @@ def _settled(  # type: ignore[no-untyped-def]
             )
             if error <= _SOLVED * small:
                 kind = CLOSEST if closest else (EXACT if turn == 0 else FALLBACK)
-                c0, c1, c2 = stored(c0, c1, c2, nm)
+                c0, c1, c2 = stored(c0, c1, c2, nm, tries)
                 return kind, light, c0, c1, c2, size / bright
         # Only white of its own light, or of D65, after which two others come.
         if turn == 0 or turn == lights - 3:
-            part = 1.0 / (1.0 + np.exp(FIRST_ROW + ROW_STEP * (min(limit, p) - _ROOM)))
-            wanted = part * (alpha + rest) - alpha
-            share = wanted / (wanted + white * (1.0 - part))
+            share = _share(min(limit, p) - _ROOM, alpha, rest, white)
             if share < least:
                 least, mixed_with = share, light
     return CLOSEST, own, 0.0, 0.0, -np.inf, 0.0
@@ -159,6 +191,7 @@ def settle(  # type: ignore[no-untyped-def]
     nodes,
     reach,
     firsts,
+    tries,
     coefficients,
     scale,
     emission,
@@ -184,6 +217,7 @@ def settle(  # type: ignore[no-untyped-def]
             nodes,
             reach,
             firsts,
+            tries,
         )
         coefficients[index, 0] = c0
         coefficients[index, 1] = c1
