@@ -3,6 +3,8 @@
 import ast
 import base64
 import json
+import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -229,3 +231,32 @@ def test_a_setting_of_the_pipeline_chooses_the_lattice(tmp_path):
 
     settings = Pipeline.model_validate({"capture": {"reference": "a.dng"}, "uplift": {"method": "lattice"}})
     assert settings.uplift.method == "lattice"
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_page_tells_each_methods_pixels_apart(files, method, tmp_path):
+    from envcal.report import write_report
+
+    (tmp_path / "uplift").mkdir()
+    shutil.copy(files[0] / f"{method}.exr", tmp_path / "uplift" / "environment.exr")
+    told = files[2][method]
+    record = {"seconds": 1.0, "figures": told["figures"], "warnings": told["warnings"]}
+    outcome = write_report(tmp_path, {"uplift": record})
+    assert not outcome.warnings
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    rows = {
+        cells[0]: cells[1:]
+        for row in re.findall(r"<tr>(.*?)</tr>", page)
+        if len(cells := [re.sub(r"<[^>]+>", "", cell) for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row)]) == 6
+    }
+    figures = told["figures"]
+    for status in Status:
+        name = status.name.lower()
+        count, _, sphere, error, _ = rows[name]
+        assert int(count.replace("\u202f", "").replace(" ", "").replace("\xa0", "")) == figures["status"][name]
+        share = 100 * figures["solid_angle"][name]
+        assert sphere == ("< 0.01 %" if 0 < share < 0.01 else f"{share:.2f} %")
+        told_error = name in figures["delta_e_by_status"] and figures["status"][name] > 0
+        assert (error != "–") == told_error
+    assert ("mixture of eight" in page) == (method == "lattice")
+    assert "Spectra of two pixels" in page
