@@ -2,15 +2,16 @@
 
 P(λ) = scale · E(λ) · S(c0 λ² + c1 λ + c2), E the emission of the pixel's light (Tódová and Wilkie,
 "Constrained Spectral Uplifting for HDR Environment Maps", EGSR 2024; the sigmoid of Jakob and Hanika 2019). Each
-pixel starts from its light's look-up table and goes on with Newton's method on the spectral sum itself, so it
-depends on the table for its speed only. Where the table's cell is smooth, its bicubic surface starts so close that
-one step is enough, and the cell's curvature says so without another look; the coarser precisions stop before.
+pixel starts from its light's look-up table (`uplift.lookup`) or, near the border of what the light can show, from its
+fan (`uplift.reach`), and goes on with Newton's method on the spectral sum itself, so it depends on them for its speed
+only.
 
-What each pixel got is its `Status`. A colour that E · R cannot show (the colour stands outside the cone
-spanned by E at the grid's wavelengths) takes D65 instead, and stays exact. A colour that no light can show
-is mixed with the white of its light, at constant luminance, by the smallest amount found that brings it into
-reach; without positive luminance it becomes black. Nothing of this is silent: `Uplifted` counts each class,
-and says how far the moved colours went.
+What each pixel got is its `Status`. A colour that E · R cannot show takes another light and stays exact: that of another
+cluster, the nearest in colour first; then D65; then one of two lights for the ends of the range. A colour that none of
+them shows lies outside the locus of the grid's wavelengths, or within a few 1e-5 of chromaticity of it (1e-4 at its red
+and blue corners). It is mixed with the white of its light or of D65, whichever takes less, at constant luminance until it
+can be shown; without positive luminance it becomes black. Nothing of this is silent: `Uplifted` counts each class, and
+says how far the moved colours went.
 
 Pixels are independent of each other: any tile of a map, in any order, on any number of threads, gives the
 same bits.
@@ -26,17 +27,15 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
 
 from uplift import UpliftError
 from uplift.difference import delta_e_2000
-from uplift.newton import newton
-from uplift.polynomial import TRIES, about, in_nm, stored
+from uplift.lookup import ALL, BLOCK, FLOAT, PENDING, PREVIEW, look_up
+from uplift.polynomial import TRIES
 from uplift.radiance import rgb_of, spectra_of
 from uplift.reach import settle
 from uplift.sigmoid import normalisation
 from uplift.spectrum import Float64, Observer, RGBSpace, illuminant, normalised, xyz_of
-from uplift.surface import CUBIC, LINEAR, cell_of, cubic, linear
 from uplift.table import Table, build_table
 
 __all__ = [
@@ -113,6 +112,7 @@ def fallback_tables(observer: Observer, space: RGBSpace, nodes: int = 64, factor
 
 
 Precision = Literal["exact", "float", "preview"]
+_PRECISIONS: dict[str, int] = {"exact": ALL, "float": FLOAT, "preview": PREVIEW}
 
 
 def uplift_pixels(
@@ -159,8 +159,8 @@ def uplift_pixels(
     emission = np.empty(size, np.uint32)
     status = np.empty(size, np.uint8)
     # One row of counts a block, so that no two threads add to the same number.
-    counts = np.zeros((-(-size // _BLOCK), _PENDING + 1), np.int64)
-    _look_up(
+    counts = np.zeros((-(-size // BLOCK), PENDING + 1), np.int64)
+    look_up(
         values,
         labels,
         _PRECISIONS[precision],
@@ -180,11 +180,11 @@ def uplift_pixels(
         counts,
     )
     counts = counts.sum(axis=0)
-    if counts[_PENDING]:
+    if counts[PENDING]:
         every = (*tables, *fallback_tables(first.observer, first.space, first.solved.shape[1], first.factor))
-        where = np.flatnonzero(status == _PENDING)
+        where = np.flatnonzero(status == PENDING)
         _settle_all(where, values, labels, every, precision, coefficients, scale, emission, status)
-        counts = counts + np.bincount(status[where], minlength=_PENDING + 1)
+        counts = counts + np.bincount(status[where], minlength=PENDING + 1)
     found = {kind: int(counts[kind]) for kind in Status}
     emissions = np.concatenate([[table.emission for table in tables], fallback_emissions(first.observer)])
     shape = cluster.shape
@@ -312,85 +312,3 @@ def _warnings(counts: dict[Status, int], largest_shift: float) -> tuple[str, ...
             f"{counts[Status.MISSING]} pixels ({counts[Status.MISSING] / total:.4%}) are NaN or infinite; they have no radiance"
         )
     return tuple(out)
-
-
-# Compiled code sees plain integers.
-_EXACT, _PENDING = int(Status.EXACT), len(Status)  # what no cell answers is settled afterwards
-
-# Of precisions, and what the compiled code calls them.
-_PREVIEW, _FLOAT, _ALL = 0, 1, 2
-_PRECISIONS: dict[str, int] = {"exact": _ALL, "float": _FLOAT, "preview": _PREVIEW}
-_BLOCK = 4096  # pixels that one thread takes at a time
-_CANCELLING = 64.0  # of c2 for λ in nm: from there on the three coefficients are rounded together
-
-
-@njit(cache=True, error_model="numpy", parallel=True)
-def _look_up(  # type: ignore[no-untyped-def]
-    rgb,
-    cluster,
-    precision,
-    axes,
-    weights,
-    t,
-    surfaces,
-    coarse,
-    grades,
-    curvatures,
-    luminance_weights,
-    a_and_b,
-    coefficients,
-    scale,
-    emission,
-    status,
-    counts,
-):
-    a, b = a_and_b[0], a_and_b[1]
-    size = scale.size
-    for block in prange(counts.shape[0]):
-        for index in range(block * _BLOCK, min(size, (block + 1) * _BLOCK)):
-            # Not float(): that leaves a float32 one, and the divisions below would round to 24 bits.
-            red, green, blue = np.float64(rgb[index, 0]), np.float64(rgb[index, 1]), np.float64(rgb[index, 2])
-            k = np.int64(cluster[index])
-            kind = _PENDING
-            G0 = axes[k, 0, 0] * red + axes[k, 0, 1] * green + axes[k, 0, 2] * blue
-            G1 = axes[k, 1, 0] * red + axes[k, 1, 1] * green + axes[k, 1, 2] * blue
-            G2 = axes[k, 2, 0] * red + axes[k, 2, 1] * green + axes[k, 2, 2] * blue
-            largest = max(G0, G1, G2)
-            c0 = c1 = c2 = dimness = 0.0
-            # Their reciprocals are numbers too.
-            if 1e-290 < largest < 1e290:
-                one = 1.0 / largest
-                m, i, j, p, q, grade = cell_of(grades[k], G0 * one, G1 * one, G2 * one)
-                if precision == _PREVIEW and grade & LINEAR:
-                    c0, c1, c2, dimness = linear(coarse[k], m, i, j, p, q)
-                    kind = _EXACT
-                elif grade:
-                    c0, c1, c2, dimness = cubic(surfaces[k], m, i, j, p, q)
-                    if precision != _ALL and grade & CUBIC:
-                        kind = _EXACT
-                    else:
-                        level = 1.0 / dimness
-                        y = luminance_weights[0] * red + luminance_weights[1] * green + luminance_weights[2] * blue
-                        aim = (1e-14 if precision == _ALL else 1e-8) * min(1.0, y * one)
-                        g0, g1, g2 = level * one * G0, level * one * G1, level * one * G2
-                        curvature = curvatures[k, m, i, j]
-                        for _ in range(6):
-                            c0, c1, c2, error = newton(weights[k], t, g0, g1, g2, c0, c1, c2)
-                            # The next residual is at most this, so no need to look.
-                            if curvature * error * error <= aim:
-                                kind = _EXACT
-                                break
-                    n1, n2 = c1 * b - 2.0 * c0 * (a * b * b), c2 - c1 * (a * b) + c0 * ((a * b) * (a * b))
-                    if precision == _ALL and abs(n2) > _CANCELLING:
-                        c0, c1, c2, summit = about(c0, c1, c2, 0.0)
-                        c0, c1, c2, summit = in_nm(c0, c1, c2, summit, a, b)
-                        c0, c1, c2 = stored(c0, c1, c2, summit, TRIES)
-                    else:
-                        c0, c1, c2 = c0 * (b * b), n1, n2
-            coefficients[index, 0] = c0
-            coefficients[index, 1] = c1
-            coefficients[index, 2] = c2
-            scale[index] = largest * dimness
-            emission[index] = k
-            status[index] = kind
-            counts[block, kind] += 1

@@ -31,10 +31,10 @@ def about(c0, c1, c2, middle):  # type: ignore[no-untyped-def]
 def in_nm(c0, c1, c2, middle, a, b):  # type: ignore[no-untyped-def]
     """Return (c0, c1, c2, middle) for λ − middle in nm, of coefficients for t − middle with t = (λ − a) · b.
 
-    The new middle is the old one rounded to a quarter of a nanometre, whose products are exact. For compiled code
-    only.
+    The new middle is the old one rounded to an odd number of quarters of a nanometre: products with it are exact, and
+    unlike 512 it gives `stored` something to choose from. For compiled code only.
     """
-    nm = np.rint((a + middle / b) * 4.0) * 0.25
+    nm = np.floor((a + middle / b) * 2.0) * 0.5 + 0.25
     d = (nm - a) * b - middle
     return c0 * (b * b), (2.0 * c0 * d + c1) * b, (c0 * d + c1) * d + c2, nm
 

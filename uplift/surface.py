@@ -74,12 +74,10 @@ def cell_of(grades, r, g, b):  # type: ignore[no-untyped-def]
     """Return (m, i, j, p, q, grade): the cell of a colour whose largest component is 1, the place in it, and the cell's
     grade, 0 outside of the table. For compiled code only.
     """
-    if r >= g and r >= b:
-        m, p, q = 0, g, b
-    elif g >= b:
-        m, p, q = 1, b, r
-    else:
-        m, p, q = 2, r, g
+    # Choices, not branches, which neighbouring pixels would often make wrong guesses of.
+    m = 0 if (r >= g) & (r >= b) else (1 if g >= b else 2)
+    p = g if m == 0 else (b if m == 1 else r)
+    q = b if m == 0 else (r if m == 1 else g)
     cells = grades.shape[1]
     # NaN fails this too.
     if not (p >= 0.0 and q >= 0.0):
