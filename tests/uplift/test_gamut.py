@@ -131,20 +131,21 @@ def test_the_sectors_of_a_fan_cover_every_direction_once():
     np.testing.assert_array_equal(alpha[clear] > 0, margin[clear] > 0)
 
 
-@pytest.mark.parametrize("narrow", [3.0, 300.0, 3e4, 3e5])
+@pytest.mark.parametrize("narrow", [3.0, 300.0, 3e4])
 def test_stored_coefficients_are_the_polynomial_about_its_summit(narrow):
     a, b = normalisation(EYES)
     rng = np.random.default_rng(34)
-    for _ in range(20):
+    errors = []
+    for _ in range(60):
         given = (-narrow * rng.uniform(0.5, 1), 0.0, rng.normal(), rng.uniform(-0.9, 0.9))
         *c, middle = in_nm(*given, a, b)
         found = [Fraction(float(v)) for v in stored(*c, middle, TRIES)]
-        for distance in (0.0, 1.0, 20.0 / np.sqrt(narrow)):
-            nm = Fraction(float(middle + distance))
-            d = nm - Fraction(float(middle))
-            exact = (Fraction(float(c[0])) * d + Fraction(float(c[1]))) * d + Fraction(float(c[2]))
-            error = float((found[0] * nm + found[1]) * nm + found[2] - exact)
-            assert abs(error) < 2e-12 * max(1.0, abs(float(exact)))
+        nm = Fraction(float(middle))
+        errors.append(abs(float((found[0] * nm + found[1]) * nm + found[2] - Fraction(float(c[2])))))
+        # Rounded one by one the three would leave three times as much.
+        assert errors[-1] <= 0.51 * np.spacing(abs(float(found[2])))
+    # Near 512 nm, a power of two, and a few other places nothing is left to choose.
+    assert np.quantile(errors, 0.85) < 2e-13
 
 
 def test_about_the_summit_the_polynomial_is_the_same():
