@@ -2,8 +2,8 @@
 
 A narrow peak has coefficients for nm that cancel: 3 nm wide at 530 nm, c2 is −2 · 10⁵, and half a unit in its last
 place moves the colour by ΔE2000 10⁻⁹. But rounding the three together leaves little of that: each coefficient takes
-up the error of those before it, and of a few neighbours of c0 the one is taken that leaves least at the summit. Within 20 nm of 512 nm, a power
-of two, and near 640 and 680 nm the neighbours of a peak of one wavelength leave the same, up to half a unit of c2.
+up the error of those before it, and of a few neighbours of c0 the one is taken that leaves least at the summit.
+Within 20 nm of 512 nm, a power of two, and near 640 and 680 nm all neighbours may leave the same, up to half a unit of c2.
 """
 
 from __future__ import annotations
