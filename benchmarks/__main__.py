@@ -8,6 +8,7 @@ from importlib import import_module
 BENCHMARKS = {
     "uplift": "speed and memory of every uplift, with ratios to a plain loop and to the lattice",
     "roundtrip": "how exactly RGB comes back, over maps and lamps of all families",
+    "brightness": "how well pixels relight surfaces, by how bright their reflectance is taken to be",
 }
 
 

@@ -106,3 +106,18 @@ def real_maps(folder: Path) -> Iterator[tuple[str, Image, str]]:
     for path in sorted((folder / "real").glob("*.hdr")):
         found = read_map(path, space="sRGB")  # whatever its header says: some say that all primaries are zero
         yield path.stem, found.image, found.space
+
+
+def inside_locus(rgb: npt.NDArray[np.floating], *, observer: Observer, space: RGBSpace) -> Float64:
+    """Return how far chromaticities [...] lie inside the convex hull of the observer's wavelengths, negative outside.
+
+    Only colours outside have no non-negative spectrum on the observer's grid. Found by scipy, not by the uplift.
+    """
+    from scipy.spatial import ConvexHull
+
+    hull = ConvexHull(observer.cmfs[:, :2] / observer.cmfs.sum(axis=1, keepdims=True))
+    xyz = np.asarray(rgb, dtype=np.float64) @ space.xyz_from_rgb.T
+    total = xyz.sum(axis=-1)
+    xy = xyz[..., :2] / np.where(total > 0, total, 1.0)[..., None]
+    distance = -(xy @ hull.equations[:, :2].T + hull.equations[:, 2]).max(axis=-1)
+    return np.where(total > 0, distance, -1.0)

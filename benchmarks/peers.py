@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 import time
 from collections.abc import Callable
@@ -179,7 +180,9 @@ def renderer_load(rgb: npt.NDArray[np.float32]) -> tuple[str, float] | Skipped:
         mitsuba: Any = import_module("mitsuba")
     except ImportError:
         return "Mitsuba is not installed (pip install mitsuba)"
-    wanted = [name for name in ("llvm_ad_spectral", "scalar_spectral") if name in mitsuba.variants()]
+    # Some versions of LLVM abort the whole process on some machines: only one that was named is tried.
+    llvm = ("llvm_ad_spectral",) if "DRJIT_LIBLLVM_PATH" in os.environ else ()
+    wanted = [name for name in (*llvm, "scalar_spectral") if name in mitsuba.variants()]
     reason = "Mitsuba: no spectral variant in this build"
     for variant in wanted:
         try:

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -37,7 +38,9 @@ LIGHTS = ("D65", "FL2", "LED-B3", "incandescent 2856 K")
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One way of uplifting: `rate` and `single` in Mpixel/s on all cores and on one; ΔE2000 of the round trip."""
+    """One way of uplifting: `rate` and `single` in Mpixel/s on all cores and on one; ΔE2000 of the round trip; `memory`,
+    the most that numpy held during a run, in bytes a pixel.
+    """
 
     name: str
     rate: float
@@ -46,6 +49,7 @@ class Row:
     mean: float | None
     worst: float | None
     remark: str = ""
+    memory: float | None = None
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -107,7 +111,19 @@ def _both(name: str, run: Callable[[slice], Any], shape: tuple[int, int], repeat
         single = quarter * width / fastest(lambda: run(slice(0, quarter)), repeat) / 1e6
     finally:
         numba.set_num_threads(cores)
-    return Row(name, rate, single, height * width, more.get("mean"), more.get("worst"), more.get("remark", ""))
+    error, remark = (more.get("mean"), more.get("worst")), more.get("remark", "")
+    memory = _held(lambda: run(slice(0, quarter))) / (quarter * width)
+    return Row(name, rate, single, height * width, *error, remark, memory)
+
+
+def _held(run: Callable[[], Any]) -> float:
+    """Return the most bytes that numpy held for `run`."""
+    tracemalloc.start()
+    try:
+        run()
+        return float(tracemalloc.get_traced_memory()[1])
+    finally:
+        tracemalloc.stop()
 
 
 def speed(width: int, height: int, *, crop: int, repeat: int) -> dict[str, Any]:
@@ -264,14 +280,15 @@ def _foreign_peers(
 def _table(rows: list[Row]) -> str:
     """Return the rows as text, each with its ratio to the plain loop and to the lattice."""
     rate = {row.name: row.rate for row in rows}
-    head = f"{'':27} {'Mpixel/s':>9} {'one core':>9} {'ratio':>6} {'× plain':>8} {'× lattice':>9} {'ΔE mean':>8} {'max':>8}"
+    head = f"{'':27} {'Mpixel/s':>9} {'one core':>9} {'ratio':>6} {'× plain':>8} {'× lattice':>9} {'B/pixel':>8} {'ΔE mean':>8} {'max':>8}"
     lines = [head]
     for row in rows:
         single = f"{row.single:9.3f} {row.rate / row.single:6.2f}" if row.single else f"{'':16}"
+        held = "" if row.memory is None else f"{row.memory:.0f}"
         errors = "" if row.mean is None else f"{row.mean:8.1e} {row.worst:8.1e}"
         lines.append(
             f"{row.name:27} {row.rate:9.3f} {single} {row.rate / rate['plain loop']:8.2f} "
-            f"{row.rate / rate['lattice']:9.1f} {errors:17}  {row.remark}".rstrip()
+            f"{row.rate / rate['lattice']:9.1f} {held:>8} {errors:17}  {row.remark}".rstrip()
         )
     bands = rate["exact, and its 81 bands"] / rate["lattice, and its 81 bands"]
     lines.append(f"ratio exact : lattice {rate['exact'] / rate['lattice']:.1f}, with the spectra of both {bands:.1f}")

@@ -333,10 +333,10 @@ def cluster(map_path: Path, out: Path, indoor: str, lights_path: Path | None, sp
 @_lights
 @click.option(
     "--method",
-    type=click.Choice(["constrained", "scaled"]),
+    type=click.Choice(["constrained", "scaled", "lattice"]),
     default="constrained",
     show_default=True,
-    help="Under the light of each pixel, or the usual uplift under D65 for comparison.",
+    help="Under the light of each pixel; or for comparison the usual uplift under D65, or the paper's lattice.",
 )
 @_space
 @_json
@@ -350,7 +350,10 @@ def uplift(
     space: str | None,
     as_json: bool,
 ) -> None:
-    """Give every pixel of MAP (.exr or .hdr, lat-long) a spectrum: three coefficients, a scale and its light."""
+    """Give every pixel of MAP (.exr or .hdr, lat-long) a spectrum: three coefficients, a scale and its light.
+
+    With the method lattice it is a mixture of eight spectra instead, from which `envcal spectra` makes bands.
+    """
     from envcal.config import UpliftSettings
     from envcal.maps import read_map
     from envcal.reporter import Reporter

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from envcal import exr, lights_file, profile, provenance, uplift_file
+from envcal import exr, lights_file, profile, provenance, spectral_exr, uplift_file
 from envcal.cli import main
 from envcal.config import Pipeline
 from envcal.stages import STAGES
 from uplift.pixels import Status
-from uplift.radiance import rgb_of, spectra_of
+from uplift.radiance import spectra_of
 from uplift.spectrum import observer, rgb_space
 
 ROOT = Path(__file__).parent.parent
@@ -25,6 +25,8 @@ DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 #: The same formula in float64 twice; ½ + x/(2√(1 + x²)) loses digits where R is small, which the package avoids.
 SAME_FORMULA = 1e-9
+#: What a float32 keeps.
+FLOAT32 = 1e-7
 #: float32 pixels through two 3×3 matrices one after the other, against their product in float64.
 FLOAT32_TWICE = 1e-6
 
@@ -53,10 +55,12 @@ def python_blocks(page):
     return re.findall(r"^```python\n(.*?)^```$", text_of(page), flags=re.MULTILINE | re.DOTALL)
 
 
-def run_example(page, folder, monkeypatch):
-    """Run the one Python example of a page in `folder`, and return what it leaves."""
-    (source,) = python_blocks(page)
-    assert len([line for line in source.splitlines() if line.strip()]) <= 16
+def run_example(page, folder, monkeypatch, number=0, of=1, most_lines=16):
+    """Run a Python example of a page in `folder`, and return what it leaves."""
+    blocks = python_blocks(page)
+    assert len(blocks) == of
+    source = blocks[number]
+    assert len([line for line in source.splitlines() if line.strip()]) <= most_lines
     script = folder / "example.py"
     script.write_text(source, encoding="utf-8")
     monkeypatch.chdir(folder)
@@ -166,7 +170,10 @@ def test_every_page_of_a_stage_is_in_the_index():
     ("page", "models"),
     [
         ("profile.md", (profile.Profile, profile.Camera, profile.Chart, profile.Patch, profile.Lamp)),
-        ("uplift-file.md", (uplift_file.About, uplift_file.Emission)),
+        (
+            "uplift-file.md",
+            (uplift_file.About, uplift_file.LatticeAbout, uplift_file.CubeRecord, uplift_file.Emission),
+        ),
         ("stages/cluster.md", (lights_file.Lights, lights_file.LightRecord)),
     ],
 )
@@ -178,7 +185,7 @@ def test_every_field_of_a_format_is_described(page, models):
 
 def test_every_channel_and_status_of_the_uplift_file_is_described():
     text = text_of(DOCS / "uplift-file.md")
-    assert all(f"`{name}`" in text for name in uplift_file.CHANNELS)
+    assert all(f"`{name}`" in text for name in uplift_file.CHANNELS | uplift_file.LATTICE_CHANNELS)
     assert all(f"{status.value} {status.name.lower()}" in text for status in Status)
 
 
@@ -196,7 +203,7 @@ def test_a_stranger_reads_the_radiance_of_an_uplift_file_with_the_example(tmp_pa
     target = tmp_path / "uplift.exr"
     done = CliRunner().invoke(main, ["uplift", str(tmp_path / "map.exr"), "-o", str(target), "--indoor", "led"])
     assert done.exit_code == 0, done.output
-    left = run_example(DOCS / "uplift-file.md", tmp_path, monkeypatch)
+    left = run_example(DOCS / "uplift-file.md", tmp_path, monkeypatch, of=2)
     radiance, planes, about = left["radiance"], left["planes"], left["about"]
     emissions = np.array([cluster["emission"] for cluster in about["clusters"]])
     coefficients = np.stack([planes[f"c{k}"] for k in range(3)], axis=-1)
@@ -211,6 +218,25 @@ def test_a_stranger_reads_the_radiance_of_an_uplift_file_with_the_example(tmp_pa
     assert not coefficients[planes["scale"] == 0].any()
     assert about["clusters"][-1]["type"] == "fallback"
     assert about["status"] == {str(s.value): s.name.lower() for s in Status}
+
+
+def test_a_stranger_reads_the_radiance_of_a_lattice_with_the_other_example(tmp_path, monkeypatch):
+    tiny_map(tmp_path / "map.exr")
+    target = tmp_path / "lattice.exr"
+    up = ["uplift", str(tmp_path / "map.exr"), "-o", str(target), "--indoor", "led", "--method", "lattice"]
+    bands = ["spectra", str(target), "-o", str(tmp_path / "bands.exr"), "--wavelengths", "545:555:5"]
+    for arguments in (up, bands):
+        done = CliRunner().invoke(main, arguments)
+        assert done.exit_code == 0, done.output
+    left = run_example(DOCS / "uplift-file.md", tmp_path, monkeypatch, number=1, of=2, most_lines=20)
+    name = spectral_exr.channel(550)
+    _, planes = exr.read(tmp_path / "bands.exr", [name])
+    assert left["radiance"].shape == (8, 16)
+    assert left["radiance"][0, 0] == left["radiance"][4, 9] == 0
+    assert (left["radiance"] > 0).sum() == 126
+    np.testing.assert_allclose(left["radiance"], planes[name], rtol=FLOAT32, atol=0)
+    assert left["about"]["format"] == 2
+    assert "c0" not in left["planes"]
 
 
 def test_every_emission_of_an_uplift_file_has_the_luminance_that_the_page_says(tmp_path):
@@ -286,14 +312,32 @@ def test_a_profile_applied_by_hand_gives_what_the_commands_give(tmp_path, monkey
     np.testing.assert_allclose(left["balanced"], balanced, rtol=0, atol=FLOAT32_TWICE)
 
 
-def test_the_uplift_stands_alone_as_the_index_shows(tmp_path, monkeypatch, capsys):
-    left = run_example(DOCS / "README.md", tmp_path, monkeypatch)
-    found, radiance = left["found"], left["radiance"]
-    assert radiance.shape == (4, 8, 31)
-    assert "(4, 8, 31)" in capsys.readouterr().out
-    assert (radiance >= 0).all()
+def test_the_uplift_stands_alone_as_the_page_of_its_functions_shows(tmp_path, monkeypatch):
+    blocks = python_blocks(DOCS / "api.md")
+    assert len(blocks) == 4
+    (tmp_path / "notebook.py").write_text("\n".join(blocks), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    left = runpy.run_path(str(tmp_path / "notebook.py"))
+    found, seen, rgb = left["found"], left["seen"], left["rgb"]
     # What is exact under one of the lights comes back; nothing here is moved.
     assert set(np.unique(found.status)) <= {Status.EXACT, Status.FALLBACK}
-    seen, space = left["seen"], rgb_space("sRGB", observer=left["seen"])
-    back = rgb_of(found.coefficients, found.scale, found.emission, found.emissions, observer=seen, space=space)
-    np.testing.assert_allclose(back, left["rgb"], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(left["back"], rgb, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(left["xyz"][..., 1], rgb @ rgb_space("sRGB").luminance_weights, rtol=1e-9)
+    # The bands on disk are samples of the spectra, and a ray in the middle of a texel sees one of them.
+    whole = (found.coefficients, found.scale, found.emission, found.emissions)
+    bands = spectra_of(*whole, left["bands_nm"], observer=seen)
+    np.testing.assert_allclose(np.load(tmp_path / "bands.npy"), bands, rtol=FLOAT32)
+    rays, wavelengths = left["seen_by_ray"], left["wavelengths_nm"]
+    for ray in range(0, 1000, 97):
+        column, row = left["column"][ray], left["row"][ray]
+        corners = spectra_of(*whole, wavelengths[ray], observer=seen)[row : row + 2][:, [column, (column + 1) % 8]]
+        assert (corners.min(axis=(0, 1)) <= rays[ray] * (1 + SAME_FORMULA)).all()
+        assert (rays[ray] <= corners.max(axis=(0, 1)) * (1 + SAME_FORMULA)).all()
+
+
+def test_the_page_of_the_functions_names_what_exists():
+    import importlib
+
+    for module, name in re.findall(r"`([a-z]+)\.([a-z_0-9]+)(?=[(`])", text_of(DOCS / "api.md")):
+        if module not in ("uplift", "space"):
+            assert hasattr(importlib.import_module(f"uplift.{module}"), name), f"{module}.{name}"

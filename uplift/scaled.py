@@ -19,7 +19,6 @@ from numba import njit, prange
 
 from uplift import UpliftError
 from uplift.pixels import Status, Uplifted, recorded
-from uplift.sigmoid import SUMS
 from uplift.spectrum import Observer, RGBSpace, illuminant, rgb_weights
 
 _EXACT, _BLACK, _CLOSEST, _MISSING = (
@@ -58,7 +57,11 @@ def uplift_scaled(
     return recorded(rgb, in_nm, scale, emission, status, d65[None, :].copy(), observer=observer, space=space)
 
 
-@njit(cache=True, error_model="numpy", fastmath=SUMS)
+# Sums may be reordered, so that they vectorise; infinities and NaN keep their meaning.
+_REORDERED = {"reassoc", "contract", "arcp", "nsz"}
+
+
+@njit(cache=True, error_model="numpy", fastmath=_REORDERED)
 def _normal_equations(weights, u, c0, c1, c2, g0, g1, g2):  # type: ignore[no-untyped-def]
     """Return half the squared residual, the gradient Jᵀr and the six different elements of JᵀJ."""
     r0, r1, r2 = g0, g1, g2

@@ -33,6 +33,17 @@ _STATUS_MEANING = (
     "a colour no light can show, moved to the closest that one can",
     "clipped in every frame: no radiance at all",
 )
+#: Where a method means something else.
+_OTHER_MEANING = {
+    "scaled": {
+        "exact": "the pixel's colour, under D65",
+        "closest": "a colour this method cannot show, moved to the nearest",
+    },
+    "lattice": {
+        "fallback": "dark and outside the lattice of its light: the pixel's colour, in that of D65",
+        "closest": "outside the lattice of its light: moved to the nearest colour in it",
+    },
+}
 _KNOWN_TYPES = (*LIGHT_TYPES, "discharge", "measured")
 
 
@@ -181,25 +192,34 @@ def uplift(output: Path, figures: dict[str, Any], found: lights_file.Lights | No
     path = output / "uplift" / "environment.exr"
     if not path.is_file():
         return None
-    header, about = uplift_file.read_about(path)
+    header, about = uplift_file.read_any_about(path)
     height, width = header.size
-    ways: dict[str, Literal["mean", "centre", "max"]] = dict.fromkeys(uplift_file.CHANNELS, "centre")
+    ways: dict[str, Literal["mean", "centre", "max"]] = dict.fromkeys(uplift_file.channels(about), "centre")
     ways["status"] = "max"
     if "status" not in header.channels:
         del ways["status"]
     small = previews.reduced(path, ways, longest=LONGEST_MAP // 2)
     picture, present = _status_map(small.planes["status"]) if "status" in ways else (None, set())
-    counts = figures.get("status", {})
+    counts, sphere, errors = (figures.get(key, {}) for key in ("status", "solid_angle", "delta_e_by_status"))
+    meanings = _OTHER_MEANING.get(about.method, {})
     return {
         "width": width,
         "height": height,
         "about": about,
         "status": [
-            {"name": name, "meaning": meaning, "colour": colour, "count": counts.get(name), "on_map": k in present}
+            {
+                "name": name,
+                "meaning": meanings.get(name, meaning),
+                "colour": colour,
+                "count": counts.get(name),
+                "sphere": sphere.get(name),
+                "error": errors.get(name, {}).get("max") if counts.get(name) else None,
+                "on_map": k in present,
+            }
             for k, (name, meaning, colour) in enumerate(zip(_STATUS, _STATUS_MEANING, _STATUS_COLOURS, strict=True))
         ],
         "map": picture,
-        "pixels": _pixel_spectra(small, about, found),
+        "pixels": _pixel_spectra(small, about, found, uplift_file.Radiance(path, about, about.wavelengths_nm)),
     }
 
 
@@ -213,7 +233,10 @@ def _status_map(status: npt.NDArray[Any]) -> tuple[str | None, set[int]]:
 
 
 def _pixel_spectra(
-    small: previews.Reduced, about: uplift_file.About, found: lights_file.Lights | None
+    small: previews.Reduced,
+    about: uplift_file.About | uplift_file.LatticeAbout,
+    found: lights_file.Lights | None,
+    radiance_of: uplift_file.Radiance,
 ) -> list[dict[str, Any]]:
     """For each light: its emission, and the spectra of a pixel where it is brightest and of one of median brightness."""
     planes = small.planes
@@ -222,7 +245,7 @@ def _pixel_spectra(
     wavelengths = np.asarray(about.wavelengths_nm)
     emissions = about.emissions()
     # The scaled method puts every pixel under D65, whatever lights there are.
-    named = {light.cluster: light for light in found.lights} if found and about.method == "constrained" else {}
+    named = {light.cluster: light for light in found.lights} if found and about.method != "scaled" else {}
     shown = []
     for k, emission in enumerate(emissions):
         solved = np.isin(planes["status"].ravel(), (_EXACT, _FALLBACK)) if "status" in planes else True
@@ -241,7 +264,7 @@ def _pixel_spectra(
         places = []
         for number, (label, where) in enumerate(picks.items()):
             row, column = divmod(where, y.shape[1])
-            spectrum = _radiance(planes, row, column, emission, wavelengths)
+            spectrum = radiance_of({name: planes[name][row, column] for name in radiance_of.channels})
             lines.append(
                 plots.Curve(label, spectrum / max(spectrum.max(), 1e-300), k, "solid" if not number else "dashed")
             )
@@ -278,15 +301,6 @@ def _near(order: npt.NDArray[np.int64], y: npt.NDArray[np.float64], at: tuple[fl
     near = order[distance <= max(_NEAR, float(distance.min()))]
     bright = near[y.ravel()[near] >= y.ravel()[near[-1]] / 2]
     return int(bright[len(bright) // 2])
-
-
-def _radiance(
-    planes: Any, row: int, column: int, emission: previews.Floats, wavelengths_nm: previews.Floats
-) -> previews.Floats:
-    """The spectrum of a pixel, by the formula that the uplift file states."""
-    c0, c1, c2, scale = (float(planes[name][row, column]) for name in ("c0", "c1", "c2", "scale"))
-    x = (c0 * wavelengths_nm + c1) * wavelengths_nm + c2
-    return np.asarray(scale * emission * (0.5 + x / (2 * np.sqrt(1 + x * x))))
 
 
 def _patch_colour(rgb: npt.NDArray[Any], matrix: previews.Floats) -> str:

@@ -13,7 +13,7 @@ from envcal.errors import EnvcalError
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
 from envcal.spectral_exr import ATTRIBUTES, channel, channels
-from envcal.uplift_file import read_about
+from envcal.uplift_file import Radiance, read_any_about
 
 #: Spectral samples that are held at a time.
 TILE_SAMPLES = 1 << 25
@@ -21,10 +21,7 @@ TILE_SAMPLES = 1 << 25
 
 def spectra(source: Path, out: Path, settings: SpectraSettings, *, progress: Progress = silent) -> Outcome:
     """Write the spectral radiance of an uplift file at `settings.wavelengths` to `out`, in bands of rows."""
-    from uplift.radiance import spectra_of
-    from uplift.spectrum import observer
-
-    header, about = read_about(source)
+    header, about = read_any_about(source)
     grid = about.wavelengths_nm
     start, stop, step = parse_wavelengths(settings.wavelengths)
     if start < grid[0] or stop > grid[-1]:
@@ -42,22 +39,11 @@ def spectra(source: Path, out: Path, settings: SpectraSettings, *, progress: Pro
     }
     height, width = header.size
     rows = max(1, TILE_SAMPLES // (width * len(wavelengths)))
-    emissions = about.emissions()
-    seen = observer(grid[0], grid[-1], (grid[-1] - grid[0]) / (len(grid) - 1), about.observer)
+    radiance_of = Radiance(source, about, wavelengths)
     brightest = 0.0
     with exr.Writer(out, header.size, channels=kinds, attributes=attributes) as writer:
-        for top, planes in exr.bands(source, ["c0", "c1", "c2", "scale", "cluster", "R", "G", "B"], rows=rows):
-            if int(planes["cluster"].max()) >= len(emissions):
-                raise EnvcalError(f"{source}: names an emission it does not hold. Run `envcal uplift` again.")
-            radiance = spectra_of(
-                np.stack([planes["c0"], planes["c1"], planes["c2"]], axis=-1),
-                planes["scale"],
-                planes["cluster"],
-                emissions,
-                wavelengths,
-                observer=seen,
-                dtype=np.float32,
-            )
+        for top, planes in exr.bands(source, [*radiance_of.channels, *"RGB"], rows=rows):
+            radiance = radiance_of(planes)
             brightest = max(brightest, float(radiance.max()))
             band: dict[str, Any] = {channel(float(w)): radiance[..., k] for k, w in enumerate(wavelengths)}
             writer.rows({**band, **{name: planes[name] for name in "RGB"}})

@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 
+from uplift.newton import integrals, solve
 from uplift.sigmoid import (
     coefficients_in_nm,
     coefficients_in_t,
     grey,
-    integrals,
     normalisation,
     normalised_wavelengths,
     reflectance,
     sigmoid,
-    solve,
 )
 from uplift.spectrum import illuminant, observer, rgb_space, rgb_weights
 
@@ -68,7 +67,7 @@ def test_the_integrals_are_the_slow_sums_and_their_slopes(weights):
             total += weights[:, k] * (0.5 + x / (2 * np.sqrt(1 + x * x)))
         return total
 
-    found = np.array(integrals(weights, t, *c))
+    found = np.array(integrals(weights, t, 0.0, *c))
     np.testing.assert_allclose(found[:3], slow(c), atol=ROUNDING)
     for i in range(3):
         step = np.zeros(3)
@@ -80,13 +79,13 @@ def test_the_integrals_are_the_slow_sums_and_their_slopes(weights):
 def test_solving_finds_the_reflectance_behind_a_colour(weights):
     t = normalised_wavelengths(observer())
     truth = np.array([2.0, 1.0, -0.5])
-    g = integrals(weights, t, *truth)[:3]
-    *c, error = solve(weights, t, *g, 0.0, 0.0, 0.0, 1e-15, 50)
+    g = integrals(weights, t, 0.0, *truth)[:3]
+    *c, error = solve(weights, t, 0.0, *g, 0.0, 0.0, 0.0, 1e-15, 50)
     np.testing.assert_allclose(c, truth, atol=1e-11)
     assert error < 1e-14
 
 
 def test_solving_an_impossible_colour_reports_its_error(weights):
     t = normalised_wavelengths(observer())
-    *_, error = solve(weights, t, -1.0, 0.5, 0.5, 0.0, 0.0, 0.0, 1e-15, 50)
+    *_, error = solve(weights, t, 0.0, -1.0, 0.5, 0.5, 0.0, 0.0, 0.0, 1e-15, 50)
     assert error > 0.1

@@ -7,9 +7,11 @@ import pytest
 
 from tests.uplift.lights_for_tests import NAMES, light
 from uplift import UpliftError
+from uplift.gamut import DARKEST
 from uplift.sigmoid import sigmoid
 from uplift.spectrum import illuminant, observer, rgb_space, rgb_weights
-from uplift.table import DARKEST, USABLE, build_table
+from uplift.surface import USABLE
+from uplift.table import build_table
 
 EYES = observer()
 RESIDUAL = 2e-12  # of the largest component; the solver stops at 1e-12, the rest is the order of summation

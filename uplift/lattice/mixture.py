@@ -20,18 +20,20 @@ def spectra_of_lattice(
     cube: Cube,
     *,
     wavelengths_nm: npt.ArrayLike | None = None,
-) -> Float64:
+    dtype: type[np.float32] | type[np.float64] = np.float64,
+) -> npt.NDArray[np.floating]:
     """Return radiance [..., M] of mixtures [...] at `wavelengths_nm` [M] (default: the observer's grid).
 
-    `cell` [...], `position` [..., 3], `scale` [...] and `emission_index` [...] as `LatticeUplift` has them. `emissions`
-    [K, N] are linear between the observer's wavelengths and zero outside. Raises UpliftError if shapes disagree.
+    `cell` [...], `position` [..., 3], `scale` [...] and `emission_index` [...] as `LatticeUplift` has them, or any part
+    of a map. `emissions` [K, N] are linear between the observer's wavelengths and zero outside. `dtype` is that of the
+    result; computed in float64. Raises UpliftError if shapes disagree, or a cell or an emission does not exist.
     """
     grid = cube.observer.wavelengths_nm
     wavelengths = grid if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=np.float64)
     lights, flat = _flat(cell, position, scale, emission_index, emissions, cube)
     sampled = np.stack([np.interp(wavelengths, grid, light, left=0.0, right=0.0) for light in lights])
     t = np.ascontiguousarray((2 * wavelengths - grid[0] - grid[-1]) / (grid[-1] - grid[0]))
-    out = np.empty((flat[0].size, wavelengths.size))
+    out = np.empty((flat[0].size, wavelengths.size), dtype)
     _radiance(*flat, sampled, t, cube.coefficients, out)
     return out.reshape((*np.shape(cell), wavelengths.size))
 
@@ -84,8 +86,12 @@ def _flat(
         raise UpliftError(
             f"mixtures: emission indices run from {index.min()} to {index.max()}, but there are {len(lights)} emissions"
         )
+    cells = np.ascontiguousarray(np.reshape(cell, -1), dtype=np.int64)
+    count = (cube.filled.shape[0] - 1) ** 3
+    if cells.size and not 0 <= int(cells.min()) <= int(cells.max()) < count:
+        raise UpliftError(f"mixtures: cells run from {cells.min()} to {cells.max()}, but the cube has {count} of them")
     return lights, (
-        np.ascontiguousarray(np.reshape(cell, -1), dtype=np.int64),
+        cells,
         np.ascontiguousarray(np.reshape(position, (-1, 3)), dtype=np.float64),
         np.ascontiguousarray(np.reshape(scale, -1), dtype=np.float64),
         index,

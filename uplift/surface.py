@@ -1,0 +1,191 @@
+"""Between the nodes of a table: bilinear and bicubic surfaces, and how good they are in each cell.
+
+Every cell is tried at five points when its table is built, and its grade says whether linear or cubic interpolation
+answers a colour by itself, or at least gives a start from which Newton's method converges at once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit, prange
+
+from uplift.difference import delta_e_2000
+from uplift.newton import integrals, newton
+from uplift.spectrum import Float64, RGBSpace
+
+PREVIEW_DELTA_E, FLOAT_DELTA_E = 0.05, 1e-4  # ΔE2000 that the two coarser precisions allow
+USABLE, LINEAR, CUBIC = 1, 2, 4  # bits of a cell's grade
+# Coefficients for t above which a peak is narrow enough to be solved about its own summit.
+_NARROW = 400.0
+
+
+def surface_of(nodes: Float64) -> Float64:
+    """Return [3, n, n, 4, 4]: coefficients and 1/level of each node; second last the value, its derivatives along i,
+    along j, and along both.
+    """
+    values = nodes.copy()
+    values[..., 3] = 1 / nodes[..., 3]
+    along_i, along_j = _slopes(values, 1), _slopes(values, 2)
+    return np.ascontiguousarray(np.stack([values, along_i, along_j, _slopes(along_i, 2)], axis=3))
+
+
+def _slopes(values: Float64, axis: int) -> Float64:
+    """Return the derivative of `values` along `axis`, per node: differences of fourth order where there are five."""
+    f = np.moveaxis(values, axis, 0)
+    out = np.gradient(f, axis=0)
+    if len(f) >= 5:
+        out[2:-2] = (f[:-4] - 8 * f[1:-3] + 8 * f[3:-1] - f[4:]) / 12
+        for end, sign in ((f[:5], 1), (f[::-1][:5], -1)):
+            e0, e1, e2, e3, e4 = end
+            at = 0 if sign > 0 else -1
+            out[at] = sign * (-25 * e0 + 48 * e1 - 36 * e2 + 16 * e3 - 3 * e4) / 12
+            out[at + sign] = sign * (-3 * e0 - 10 * e1 + 18 * e2 - 6 * e3 + e4) / 12
+    return np.moveaxis(out, 0, axis)
+
+
+def grades_of(
+    weights: Float64,
+    t: Float64,
+    nodes: Float64,
+    solved: npt.NDArray[np.bool_],
+    surface: Float64,
+    rgb_from_axes: Float64,
+    space: RGBSpace,
+) -> tuple[npt.NDArray[np.uint8], Float64]:
+    """Return grades and curvature [3, n-1, n-1] of the cells of a table: what each is good for, and C such that a Newton
+    step from there leaves a residual below C times the square of the one before.
+    """
+    cells = nodes.shape[1] - 1
+    curvature = np.empty((3, cells, cells))
+    asked, shown = np.ones((3, cells, cells, 2, 3)), np.ones((3, cells, cells, 2, 3))
+    flat = np.ascontiguousarray(surface[..., 0, :])
+    _tried(weights, t, nodes, solved, surface, flat, curvature, asked, shown)
+    difference = delta_e_2000(asked @ rgb_from_axes.T, shown @ rgb_from_axes.T, space, white=None)
+    usable = np.isfinite(curvature)
+    # Twice and thrice: the worst point of a cell was not among those tried.
+    linear_enough = usable & (difference[..., 0] * 2 <= PREVIEW_DELTA_E)
+    cubic_enough = usable & (difference[..., 1] * 3 <= FLOAT_DELTA_E)
+    return (usable * USABLE + linear_enough * LINEAR + cubic_enough * CUBIC).astype(np.uint8), curvature
+
+
+@njit(cache=True, error_model="numpy")
+def cell_of(grades, r, g, b):  # type: ignore[no-untyped-def]
+    """Return (m, i, j, p, q, grade): the cell of a colour whose largest component is 1, the place in it, and the cell's
+    grade, 0 outside of the table. For compiled code only.
+    """
+    # Choices, not branches, which neighbouring pixels would often make wrong guesses of.
+    m = 0 if (r >= g) & (r >= b) else (1 if g >= b else 2)
+    p = g if m == 0 else (b if m == 1 else r)
+    q = b if m == 0 else (r if m == 1 else g)
+    cells = grades.shape[1]
+    # NaN fails this too.
+    if not (p >= 0.0 and q >= 0.0):
+        return m, 0, 0, 0.0, 0.0, np.uint8(0)
+    p, q = p * cells, q * cells
+    i, j = min(int(p), cells - 1), min(int(q), cells - 1)
+    return m, i, j, p - i, q - j, grades[m, i, j]
+
+
+@njit(cache=True, error_model="numpy")
+def cubic(surface, m, i, j, p, q):  # type: ignore[no-untyped-def]
+    """Return (c0, c1, c2, 1/level) at (p, q) in 0 … 1 within a cell: Hermite's cubics both ways. For compiled code
+    only.
+    """
+    p2, q2 = p * p, q * q
+    a1, b1 = (3.0 - 2.0 * p) * p2, (3.0 - 2.0 * q) * q2
+    a0, b0 = 1.0 - a1, 1.0 - b1
+    u1, v1 = (p - 1.0) * p2, (q - 1.0) * q2
+    u0, v0 = p - p2 + u1, q - q2 + v1
+    c0 = c1 = c2 = dimness = 0.0
+    for corner in range(4):
+        node = surface[m, i + corner // 2, j + corner % 2]
+        a, u = (a0, u0) if corner < 2 else (a1, u1)
+        b, v = (b0, v0) if corner % 2 == 0 else (b1, v1)
+        w0, w1, w2, w3 = a * b, u * b, a * v, u * v
+        c0 += w0 * node[0, 0] + w1 * node[1, 0] + w2 * node[2, 0] + w3 * node[3, 0]
+        c1 += w0 * node[0, 1] + w1 * node[1, 1] + w2 * node[2, 1] + w3 * node[3, 1]
+        c2 += w0 * node[0, 2] + w1 * node[1, 2] + w2 * node[2, 2] + w3 * node[3, 2]
+        dimness += w0 * node[0, 3] + w1 * node[1, 3] + w2 * node[2, 3] + w3 * node[3, 3]
+    return c0, c1, c2, dimness
+
+
+@njit(cache=True, error_model="numpy")
+def linear(values, m, i, j, p, q):  # type: ignore[no-untyped-def]
+    """Return four values at (p, q) in 0 … 1 within a cell of `values` [3, n, n, 4], bilinear. For compiled code only."""
+    w, x, y, z = (1.0 - p) * (1.0 - q), (1.0 - p) * q, p * (1.0 - q), p * q
+    n, e, s, d = values[m, i, j], values[m, i, j + 1], values[m, i + 1, j], values[m, i + 1, j + 1]
+    return (
+        w * n[0] + x * e[0] + y * s[0] + z * d[0],
+        w * n[1] + x * e[1] + y * s[1] + z * d[1],
+        w * n[2] + x * e[2] + y * s[2] + z * d[2],
+        w * n[3] + x * e[3] + y * s[3] + z * d[3],
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def permuted(m, largest, second, third):  # type: ignore[no-untyped-def]
+    """Return a colour in the order of the axes, given its components m, m + 1 and m + 2 (modulo 3)."""
+    if m == 0:
+        return largest, second, third
+    if m == 1:
+        return third, largest, second
+    return second, third, largest
+
+
+@njit(cache=True, error_model="numpy")
+def _cell(weights, t, nodes, solved, surface, flat, m, i, j, asked, shown):  # type: ignore[no-untyped-def]
+    """Try one cell; write the colours to `asked` and `shown` [2, 3], and return its curvature."""
+    n = nodes.shape[1]
+    if not (solved[m, i, j] and solved[m, i, j + 1] and solved[m, i + 1, j] and solved[m, i + 1, j + 1]):
+        return np.inf
+    steepest = max(abs(nodes[m, i, j, 0]), abs(nodes[m, i, j + 1, 0]))
+    if max(steepest, abs(nodes[m, i + 1, j, 0]), abs(nodes[m, i + 1, j + 1, 0])) > _NARROW:
+        return np.inf
+    largest = g0 = g1 = g2 = 0.0
+    for point in range(6):
+        # First the middle by both ways, then the four quarters.
+        p, q = 0.5, 0.5
+        if point > 1:
+            p, q = 0.25 + 0.5 * (point % 2), 0.25 + 0.5 * (point // 4)
+        d0, d1, d2 = permuted(m, 1.0, (i + p) / (n - 1), (j + q) / (n - 1))
+        if point == 0:
+            c0, c1, c2, dimness = linear(flat, m, i, j, p, q)
+        else:
+            c0, c1, c2, dimness = cubic(surface, m, i, j, p, q)
+        f = integrals(weights, t, 0.0, c0, c1, c2)
+        f0, f1, f2 = f[0] * dimness, f[1] * dimness, f[2] * dimness
+        error = max(abs(f0 - d0), abs(f1 - d1), abs(f2 - d2)) / dimness
+        # Not "greater": that would let NaN pass.
+        if point == 0 or not error <= largest:
+            way = min(point, 1)
+            asked[way, 0], asked[way, 1], asked[way, 2] = d0, d1, d2
+            shown[way, 0], shown[way, 1], shown[way, 2] = f0, f1, f2
+        if point > 0:
+            largest = max(largest, error)
+        if point == 1:
+            g0, g1, g2 = d0 / dimness, d1 / dimness, d2 / dimness
+    before, after = 1.0, 1.0
+    c0, c1, c2 = nodes[m, i, j, 0], nodes[m, i, j, 1], nodes[m, i, j, 2]
+    for _ in range(2):
+        before = after
+        c0, c1, c2, after = newton(weights, t, g0, g1, g2, c0, c1, c2)
+    found = 4.0 * after / (before * before)
+    return found if found * largest < 0.5 else np.inf
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _tried(weights, t, nodes, solved, surface, flat, curvature, asked, shown):  # type: ignore[no-untyped-def]
+    """Write curvature [3, n-1, n-1], and colours asked and shown [3, n-1, n-1, 2, 3]: the middle of each cell looked
+    up linearly, and the worst of five points looked up cubically.
+
+    The curvature is measured on the way from a corner to the middle. Infinite where a corner is unsolved or narrow, or
+    Newton's method would not converge quickly.
+    """
+    cells = curvature.shape[1]
+    for line in prange(3 * cells):
+        m, i = line // cells, line % cells
+        for j in range(cells):
+            curvature[m, i, j] = _cell(
+                weights, t, nodes, solved, surface, flat, m, i, j, asked[m, i, j], shown[m, i, j]
+            )
