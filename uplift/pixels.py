@@ -36,7 +36,7 @@ from uplift.radiance import rgb_of, spectra_of
 from uplift.reach import settle
 from uplift.sigmoid import normalisation
 from uplift.spectrum import Float64, Observer, RGBSpace, illuminant, normalised, xyz_of
-from uplift.table import Table, build_table
+from uplift.table import BRIGHTNESS, Table, build_table
 
 __all__ = [
     "FALLBACK_LIGHTS",
@@ -102,7 +102,7 @@ def fallback_emissions(observer: Observer) -> Float64:
 
 
 @cache
-def fallback_tables(observer: Observer, space: RGBSpace, nodes: int = 64, factor: float = 2.0) -> tuple[Table, ...]:
+def fallback_tables(observer: Observer, space: RGBSpace, nodes: int = 64, factor: float = BRIGHTNESS) -> tuple[Table, ...]:
     """Return the tables of `fallback_emissions`, kept for the next call."""
     # Their fans matter, not their nodes.
     return tuple(

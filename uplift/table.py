@@ -44,6 +44,8 @@ _CLEARLY_POSITIVE = 5e-3
 SOLVED = 1e-12  # residual relative to a colour's largest component below which a node counts as reached
 BORDER = 1e-7  # distance to the cone's planes, the largest component being 1, below which a node is outside
 _DARKER = 8  # times that a node may take half the level
+#: White over the brightest component of R: chosen by the relight error in rooms (docs/decisions/0006-brightness.md).
+BRIGHTNESS = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +83,7 @@ class Table:
 
 
 def build_table(
-    emission: npt.ArrayLike, *, observer: Observer, space: RGBSpace, nodes: int = 64, factor: float = 2.0
+    emission: npt.ArrayLike, *, observer: Observer, space: RGBSpace, nodes: int = 64, factor: float = BRIGHTNESS
 ) -> Table:
     """Return the table of the light `emission` [N] (any scale, on the observer's grid).
 

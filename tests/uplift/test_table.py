@@ -11,7 +11,7 @@ from uplift.gamut import DARKEST
 from uplift.sigmoid import sigmoid
 from uplift.spectrum import illuminant, observer, rgb_space, rgb_weights
 from uplift.surface import USABLE
-from uplift.table import build_table
+from uplift.table import BRIGHTNESS, build_table
 
 EYES = observer()
 RESIDUAL = 2e-12  # of the largest component; the solver stops at 1e-12, the rest is the order of summation
@@ -39,12 +39,12 @@ def test_every_node_inside_the_gamut_is_solved(name, space):
     assert np.abs(shown - asked)[table.solved].max() < RESIDUAL
     # The pure primaries of BT.2020 are monochromatic, so their nodes and some beside them are at or over the border.
     assert table.solved.mean() > 0.999
-    assert table.nodes[..., 3].max() == 0.5 and table.nodes[..., 3].min() > DARKEST
+    assert table.nodes[..., 3].max() == 1 / BRIGHTNESS and table.nodes[..., 3].min() > DARKEST
 
 
 def test_the_light_itself_is_the_middle_of_its_axes():
     for name in NAMES:
-        table = build_table(light(name), observer=EYES, space=rgb_space("ITU-R BT.2020"))
+        table = build_table(light(name), observer=EYES, space=rgb_space("ITU-R BT.2020"), factor=2)
         w = rgb_weights(table.emission, EYES, table.space).sum(axis=1)
         np.testing.assert_allclose(table.axes @ w, 1, atol=1e-12)
         np.testing.assert_allclose(table.weights.sum(axis=1), 1, atol=1e-12)
@@ -77,7 +77,7 @@ def test_the_factor_sets_the_brightness_of_white():
 def test_where_light_is_left_the_level_is_the_factors_and_near_the_border_it_is_darker():
     wide = build_table(light("D65"), observer=EYES, space=rgb_space("ITU-R BT.2020"), nodes=32)
     levels = wide.nodes[..., 3]
-    assert (levels <= 0.5).all() and (levels[:, 16:, 16:] == 0.5).all()
+    assert (levels <= 1 / BRIGHTNESS).all() and (levels[:, 16:, 16:] == 1 / BRIGHTNESS).all()
     # R = 1 where a component is positive shows more of it than any R < 1 that shows no more of the others.
     brightest = np.maximum(wide.weights, 0).sum(axis=1)
     assert (levels[:, 0, 0] < brightest).all() and (levels[:, 0, 0] < 0.25).all()
