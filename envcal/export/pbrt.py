@@ -126,7 +126,7 @@ def spd(wavelengths_nm: list[float], values: list[float]) -> str:
 
 def _scene(lights: list[dict[str, Any]]) -> str:
     text = [
-        "# The environment as pbrt-v4 can have it. Include it in the world block: Include \"environment.pbrt\"",
+        '# The environment as pbrt-v4 can have it. Include it in the world block: Include "environment.pbrt"',
         "#",
         "# The maps are in pbrt's own frame: z is up, and u = phi/2pi of the lat-long map from +x towards +y. So the middle of",
         "# the lat-long map stands towards -x. For a scene whose up is +y and that is mirrored at its head by `Scale -1 1 1`",
