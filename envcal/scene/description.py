@@ -107,17 +107,13 @@ def _step(k: int) -> str:
 
 def _sphere(number: int, name: str, reflectance: npt.NDArray[np.float64]) -> str:
     row, column = divmod(number, 6)
-    values = ", ".join(f"{v:.4f}" for v in reflectance)
+    values = ", ".join(f"{w:g}:{v:.4f}" for w, v in zip(_WAVELENGTHS, reflectance, strict=True))
     return f"""
     <shape type="sphere" id="patch_{number + 1:02d}">  <!-- {name} -->
         <point name="center" x="{(column - 2.5) * _PITCH:g}" y="{(3 - row) * _STEP_HEIGHT + _RADIUS:g}" z="{_depth(row):g}"/>
         <float name="radius" value="{_RADIUS:g}"/>
         <bsdf type="diffuse">
-            <spectrum type="regular" name="reflectance">
-                <float name="wavelength_min" value="{_WAVELENGTHS[0]:g}"/>
-                <float name="wavelength_max" value="{_WAVELENGTHS[-1]:g}"/>
-                <string name="values" value="{values}"/>
-            </spectrum>
+            <spectrum name="reflectance" value="{values}"/>
         </bsdf>
     </shape>"""
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from envcal import atomic, exr, provenance
 from envcal.errors import EnvcalError
@@ -59,7 +60,7 @@ def make_scene(
         raise EnvcalError(f"{used}: has no spectra, and the comparison is of spectra. Take a *_spectral variant.")
     if used.startswith("scalar"):
         size, spp = size or SCALAR_SIZE, spp or SCALAR_SPP
-    figures = _render(folder, size or SIZE, spp or SPP, used, progress)
+    figures = _render(folder, size or SIZE, spp or SPP, used, atomic.digest(source), progress)
     difference = figures["difference"]
     summary = (
         f"rendered {figures['width']}×{figures['height']}; spectra against RGB: ΔE2000 {difference['mean']:.2f} in the mean "
@@ -86,7 +87,7 @@ def _write_rgb_map(opened: Opened, out: Path) -> None:
     matrix = conversion(opened.space, rgb_space("sRGB", observer=opened.observer))
     height, width = opened.size
     step = -(-width // _WIDEST)
-    rows: list[np.ndarray[Any, Any]] = []
+    rows: list[npt.NDArray[np.float64]] = []
     kept = np.empty((0, width, 3))
     for band in bands(opened):
         rgb = np.concatenate([kept, np.maximum(band.rgb(opened) @ matrix.T, 0.0)])
@@ -95,11 +96,7 @@ def _write_rgb_map(opened: Opened, out: Path) -> None:
         end = len(rgb) if last else whole
         rows += [_reduced(rgb[k : min(k + step, end)], step) for k in range(0, end, step)]
         kept = rgb[end:]
-    middle = np.stack(rows).astype(np.float32)
-    both = np.empty((2 * len(middle) + 1, *middle.shape[1:]), np.float32)
-    both[1::2] = middle
-    both[2:-1:2] = (middle[:-1] + middle[1:]) / 2
-    both[0], both[-1] = middle[0], middle[-1]
+    both = native_rows(np.stack(rows).astype(np.float32))
     attributes = {
         **provenance.attributes("mitsuba", settings={"rows": "poles and middles"}, inputs=[opened.path]),
         **provenance.colour_space("sRGB"),
@@ -107,7 +104,20 @@ def _write_rgb_map(opened: Opened, out: Path) -> None:
     exr.write(out, exr.rgb_planes(both), attributes=attributes)
 
 
-def _reduced(rows: np.ndarray[Any, Any], step: int) -> np.ndarray[Any, Any]:
+def native_rows(middle: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Return a lat-long map [2H + 1, W, C] in the layout of Mitsuba's envmap: rows at the poles, middles and borders.
+
+    `middle` [H, W, C] has rows in the middles of bands of latitude. A row between two of them is their mean, so linear
+    interpolation over the result is that over `middle`.
+    """
+    both = np.empty((2 * len(middle) + 1, *middle.shape[1:]), np.float32)
+    both[1::2] = middle
+    both[2:-1:2] = (middle[:-1] + middle[1:]) / 2
+    both[0], both[-1] = middle[0], middle[-1]
+    return both
+
+
+def _reduced(rows: npt.NDArray[np.float64], step: int) -> npt.NDArray[np.float64]:
     """The mean of blocks of `step` columns of some rows [≤ step, width, 3]; the last block may be narrower."""
     mean = rows.mean(axis=0)
     edges = np.arange(0, mean.shape[0], step)
@@ -115,7 +125,9 @@ def _reduced(rows: np.ndarray[Any, Any], step: int) -> np.ndarray[Any, Any]:
     return np.add.reduceat(mean, edges, axis=0) / counts[:, np.newaxis]
 
 
-def _render(folder: Path, size: tuple[int, int], spp: int, variant: str, progress: Progress) -> dict[str, Any]:
+def _render(
+    folder: Path, size: tuple[int, int], spp: int, variant: str, digest: str, progress: Progress
+) -> dict[str, Any]:
     from envcal.scene import pictures
     from envcal.scene.render import progress_of, render
 
@@ -137,6 +149,7 @@ def _render(folder: Path, size: tuple[int, int], spp: int, variant: str, progres
     difference = pictures.compare(rendered["uplift"], rendered["scaled"], gain=gain)
     pictures.write_png(folder / "difference.png", pictures.difference_picture(difference))
     figures = {
+        "uplift": digest,
         "variant": variant,
         "width": size[0],
         "height": size[1],

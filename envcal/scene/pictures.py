@@ -19,6 +19,7 @@ Float64 = npt.NDArray[np.float64]
 #: Renders are averaged over this many pixels a side before they are compared: ΔE sees noise as difference.
 _SMOOTHING = 3
 _SCALES = (1.0, 2.0, 5.0, 10.0, 20.0)
+_COLOURS = "magma"
 _INK, _PAPER, _MUTED = "#e6e6e6", "#151515", "#a3a3a3"
 
 
@@ -86,6 +87,14 @@ def scale_end(difference: Difference) -> float:
     return next((end for end in _SCALES if high <= end), _SCALES[-1])
 
 
+def field(delta_e: Float64, end: float) -> npt.NDArray[np.uint8]:
+    """ΔE2000 [height, width] as colours: black is 0, the palest is `end` and more."""
+    import matplotlib as mpl
+
+    colours = mpl.colormaps[_COLOURS](np.clip(delta_e / end, 0, 1))
+    return np.asarray(np.round(255 * colours[..., :3]), np.uint8)
+
+
 def difference_picture(difference: Difference) -> npt.NDArray[np.uint8]:
     """The map of ΔE2000 as a picture of the same width, with a colour bar and a legend below."""
     import matplotlib as mpl
@@ -94,8 +103,7 @@ def difference_picture(difference: Difference) -> npt.NDArray[np.uint8]:
 
     width = difference.delta_e.shape[1]
     end = scale_end(difference)
-    colours = mpl.colormaps["magma"]
-    field = (colours(np.clip(difference.delta_e / end, 0, 1))[..., :3] * 255).round().astype(np.uint8)
+    colours = mpl.colormaps[_COLOURS]
     strip = max(64, round(0.105 * width))
     dpi = 100
     size = max(7.0, 0.0145 * width)
@@ -120,4 +128,4 @@ def difference_picture(difference: Difference) -> npt.NDArray[np.uint8]:
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
         legend = np.asarray(canvas.buffer_rgba())[..., :3]
-    return np.concatenate([field, legend[:, :width].astype(np.uint8)], axis=0)
+    return np.concatenate([field(difference.delta_e, end), legend[:, :width].astype(np.uint8)], axis=0)

@@ -73,9 +73,13 @@ def render(
     *,
     size: tuple[int, int],
     spp: int,
+    tame: bool = True,
     progress: Progress = silent,
 ) -> Rendered:
-    """Render `scene_file` (width, height = `size`) in the variant that is set, `spp` samples a pixel in all."""
+    """Render `scene_file` (width, height = `size`) in the variant that is set, `spp` samples a pixel in all.
+
+    `tame` takes the fireflies down; without it the mean is unbiased.
+    """
     import gc
 
     mi = mitsuba()
@@ -93,7 +97,7 @@ def render(
         progress(k + 1, passes)
     del scene
     gc.collect()
-    tamed = without_fireflies(layers)
+    tamed = without_fireflies(layers) if tame else layers
     return Rendered(tamed.mean(axis=0), tamed[::2].mean(axis=0), tamed[1::2].mean(axis=0))
 
 
