@@ -180,7 +180,7 @@ def put_light(scene, name):
     params.update()
 
 
-def render(scene_file, spp, per_pass=16, **parameters):
+def render(scene_file, spp, per_pass=16, seed=0, **parameters):
     """Return the picture [height, width, 3], linear sRGB: the sum of the passes of all lights."""
     total = 0.0
     for light in json.loads((FOLDER / "lights.json").read_text(encoding="utf-8")):
@@ -189,7 +189,7 @@ def render(scene_file, spp, per_pass=16, **parameters):
         put_light(scene, name)
         count = max(1, round(spp / per_pass))
         for k in range(count):
-            xyz = np.array(mi.render(scene, spp=min(spp, per_pass), seed=k), np.float64)
+            xyz = np.array(mi.render(scene, spp=min(spp, per_pass), seed=seed + k), np.float64)
             total = total + xyz @ RGB_FROM_XYZ.T / count
         print(f"{name}: {light['type']}")
     return total.astype(np.float32)

@@ -25,10 +25,11 @@ def small_uplift(
     method: str = "constrained",
     peak: float = 1.0,
     saturated: bool = False,
+    smooth: bool = False,
 ) -> tuple[Path, np.ndarray]:
     """Write `uplift.exr` and return its path and the colours [H, 2H, 3] it was made of.
 
-    Lamps share the columns out among themselves. The first pixel is black, the second as bright as `peak`.
+    Lamps share the columns out among themselves; `smooth` gives each of them one colour and a soft gradient. The first pixel is black, the second as bright as `peak`.
     """
     width = 2 * height
     space = rgb_space(SPACE, observer=EYES)
@@ -40,6 +41,11 @@ def small_uplift(
     reflectance = 1.0 / (1.0 + np.exp(1.0 + slopes[..., :1] * t + slopes[..., 1:] * t**2))
     colours = np.stack([rgb_weights(emission, EYES, space) for emission in emissions])
     rgb = np.einsum("hwcn,hwn->hwc", colours[cluster], reflectance) * np.exp(rng.normal(0, 0.6, (height, width, 1)))
+    if smooth:  # one reflectance a lamp: nothing between two texels but their brightness
+        reflectance = reflectance[:1, :1] + 0.0 * reflectance
+        v = (np.arange(height)[:, None] + 0.5) / height
+        bright = 1.0 + 0.5 * np.sin(np.pi * v) * np.cos(2 * np.pi * (np.arange(width) + 0.5) / width)
+        rgb = np.einsum("hwcn,hwn->hwc", colours[cluster], reflectance) * bright[..., None]
     rgb[0, 0], rgb[0, 1] = 0.0, peak * colours[0].sum(axis=1)
     if saturated:
         rgb[1, :] = [0.02, 0.9, 0.05]
