@@ -23,6 +23,8 @@ from envcal.mitsuba.loading import CENTRE_NM, HALF_NM, Float32, SpectralMap
 FAR = 1e10
 #: The least sin θ: what single precision knows of it beside a pole.
 TINY = 2.0**-24
+#: Emissions that one packet of 16 floats brings, in pairs. Maps have fewer; more are looked up one by one.
+_PACKET = 8
 #: Brings Y = 1 of the file to what Mitsuba's film develops to 1.
 WHITE = 1.0 / mi.MI_CIE_Y_NORMALIZATION
 
@@ -49,7 +51,8 @@ def emitter_class(variant: str) -> type[Any]:
                 spectral, rgb = self._read(props)
             self.dist: Any = None
             self.emission: Any = None
-            self.cluster: Any = None
+            self.quads: Any = None
+            self.table: Any = None
             if spectral_variant:
                 if spectral is None:
                     raise EnvcalError("the spectral variants need coefficients, not RGB.")
@@ -65,17 +68,19 @@ def emitter_class(variant: str) -> type[Any]:
         def _read(self, props: Any) -> tuple[SpectralMap | None, Float32 | None]:
             if not props.has_property("filename"):
                 raise EnvcalError('an `envcal` emitter needs "filename": the file of `envcal uplift`.')
-            resolver: Any = mi.file_resolver()
-            path = Path(str(resolver.resolve(str(props["filename"]))))
+            resolver: Any = mi.file_resolver
+            path = Path(str(resolver().resolve(str(props["filename"]))))
             self.filename = path.name
             return (loading.load(path), None) if spectral_variant else (None, loading.load_rgb(path))
 
         def _keep_spectral(self, spectral: SpectralMap) -> None:
             self.height, self.width = spectral.cluster.shape
             self.data = V.TensorXf(spectral.data)
-            self.cluster = V.TensorXu(spectral.cluster).array
             self.grid = spectral.wavelengths_nm
             self.emission = V.TensorXf(spectral.emissions.astype(np.float32))
+            self.used, slot = loading.slots(spectral.cluster, len(spectral.emissions))
+            self.slot = slot
+            self.quads = None if len(self.used) == 1 else V.TensorXu(loading.quads(slot)).array
 
         def _keep_rgb(self, rgb: Float32) -> None:
             self.height, self.width = rgb.shape[:2]
@@ -118,18 +123,26 @@ def emitter_class(variant: str) -> type[Any]:
         def _prepare_sampling(self) -> None:
             if spectral_variant:
                 data = np.asarray(self.data.numpy()).reshape(self.height, self.width, 4)
-                cluster = np.asarray(self.cluster).reshape(self.height, self.width)
-                emission = np.array(self.emission.numpy(), np.float64)
+                emission = np.array(self.emission.numpy(), np.float64)[self.used]
                 weights = _observer_weights(self.grid)
-                luminance = loading.luminance(data, cluster, emission * weights, self.grid)
-                self._prepare_wavelengths(emission, data[..., 3], cluster)
+                luminance = loading.luminance(data, self.slot, emission * weights, self.grid)
+                self._prepare_wavelengths(emission, data[..., 3])
+                self._prepare_emission()
             else:
                 rgb = np.asarray(self.data.numpy()).reshape(self.height, self.width, 3)
                 luminance = sampling.luminance_of_rgb(rgb)
             self.warp = V.Hierarchical2D0(sampling.nodes(luminance))
 
-        def _prepare_wavelengths(self, emission: Any, scale: Any, cluster: Any) -> None:
-            share = np.bincount(cluster.ravel(), weights=scale.ravel(), minlength=len(emission))
+        def _prepare_emission(self) -> None:
+            """Lay the emissions out as they are read: node by node (E here, E at the next) of each slot."""
+            if jit:
+                slots = _PACKET if len(self.used) <= _PACKET else len(self.used)
+                index = loading.packed(self.used, len(self.grid), slots)
+                self.table = dr.gather(V.Float, self.emission.array, V.UInt32(index)) * WHITE
+                dr.eval(self.table)
+
+        def _prepare_wavelengths(self, emission: Any, scale: Any) -> None:
+            share = np.bincount(self.slot.ravel(), weights=scale.ravel(), minlength=len(emission))
             mean = share @ emission if share.any() else emission.mean(axis=0)
             # A little of every wavelength: a later change of the emissions is then still sampled without bias.
             mean = mean / max(mean.max(), 1e-30) + 1e-3
@@ -189,47 +202,70 @@ def emitter_class(variant: str) -> type[Any]:
                 (left, row + 1, (1 - fx) * fy),
                 (right, row + 1, fx * fy),
             )
+            light = None
+            if spectral_variant:
+                light = self._light(wavelengths, V.UInt32(row * self.width + left), active)
             total: Any = Value(0.0)
-            light = self._light(wavelengths) if spectral_variant else None
-            for i, j, weight in corners:
-                total += self._texel(V.UInt32(j * self.width + i), light, active) * weight
+            for k, (i, j, weight) in enumerate(corners):
+                total += self._texel(V.UInt32(j * self.width + i), k, light, active) * weight
             return total * self.scale
 
-        def _light(self, wavelengths: Any) -> tuple[Any, Any, Any, Any]:
-            """Return where the wavelengths stand: t, the lower node of the grid, the fraction to the next, 1 if inside."""
-            last = len(self.grid) - 1
-            first, step = float(self.grid[0]), float(self.grid[-1] - self.grid[0]) / last
-            at = (wavelengths - first) * (1 / step)
+        def _light(self, wavelengths: Any, quad: Any, active: Any) -> tuple[Any, Any]:
+            """Return t, and what gives E(λ) of the corners 0 … 3 of a quad of texels."""
+            last, first = len(self.grid) - 1, float(self.grid[0])
+            at = (wavelengths - first) * (last / (float(self.grid[-1]) - first))
             inside = dr.select((at >= 0) & (at <= last), Value(1.0), Value(0.0))
             node = dr.clip(dr.floor(at), 0.0, last - 1.0)
-            return (wavelengths - CENTRE_NM) * (1 / HALF_NM), node, at - node, inside * WHITE
+            fraction, many = at - node, len(self.used)
+            packed = 0 if self.quads is None else _gather(V.UInt32, self.quads, quad, 1, active)
+            lights = self._all_lights(node, fraction, inside, active) if jit and many <= _PACKET else []
 
-        def _texel(self, texel: Any, light: Any, active: Any) -> Any:
+            def of_corner(corner: int) -> Any:
+                slot = (packed >> (8 * corner)) & 255
+                if not lights:
+                    return self._one_light(slot, node, fraction, active) * inside
+                found = lights[0]
+                for k in range(1, many):
+                    found = dr.select(slot == k, lights[k], found)
+                return found
+
+            return (wavelengths - CENTRE_NM) * (1 / HALF_NM), of_corner
+
+        def _all_lights(self, node: Any, fraction: Any, inside: Any, active: Any) -> list[Any]:
+            """Return E(λ) of every slot: with one packet a wavelength they cost less than the texels' own, one by one."""
+            values: list[list[Any]] = [[] for _ in self.used]
+            for k in range(len(node)):
+                packet = dr.gather(V.Matrix4f, self.table, V.UInt32(node[k]), active)
+                for slot, found in enumerate(values):
+                    here, there = packet[slot // 2, 2 * (slot % 2)], packet[slot // 2, 2 * (slot % 2) + 1]
+                    found.append(dr.fma(there - here, fraction[k], here))
+            return [Value(found) * inside for found in values]
+
+        def _one_light(self, slot: Any, node: Any, fraction: Any, active: Any) -> Any:
+            """Return E(λ) of one slot."""
+            found = []
+            for k in range(len(node)):
+                if jit:
+                    pair = dr.gather(V.Vector2f, self.table, V.UInt32(node[k]) * len(self.used) + slot, active)
+                    here, there = pair.x, pair.y
+                else:
+                    at = int(self.used[slot]) * len(self.grid) + int(node[k])
+                    here, there = (self.emission.array[at + k] * WHITE for k in (0, 1))
+                found.append(dr.fma(there - here, fraction[k], here))
+            return Value(found)
+
+        def _texel(self, texel: Any, corner: int, light: Any, active: Any) -> Any:
             """Return the radiance of one texel."""
             if light is None:
                 rgb = _gather(V.Color3f, self.data.array, texel, 3, active)
                 return rgb if rgb_variant else Value(V.luminance(rgb))
-            t, node, fraction, inside = light
+            t, emission = light
             c = _gather(V.Vector4f, self.data.array, texel, 4, active)
             x = dr.fma(dr.fma(Value(c.x), t, Value(c.y)), t, Value(c.z))
             # S(−|x|) without the cancellation of ½ − ½|x|/√(1 + x²), which is all that is left of a deep colour.
-            root = dr.sqrt(dr.fma(x, x, 1.0))
-            low = 0.5 * dr.rcp(root * (root + dr.abs(x)))
-            reflectance = dr.select(x < 0, low, 1.0 - low)
-            emission = self._emission(texel, node, fraction, active) * inside
-            return emission * reflectance * c.w
-
-        def _emission(self, texel: Any, node: Any, fraction: Any, active: Any) -> Any:
-            """Return E of the texel's cluster at the wavelengths."""
-            size = len(self.grid)
-            start = 0 if self.emission.shape[0] == 1 else _gather(V.UInt32, self.cluster, texel, 1, active) * size
-            lower, upper = [], []
-            for k in range(len(node)):
-                at = V.UInt32(node[k]) + start
-                lower.append(_gather(V.Float, self.emission.array, at, 1, active))
-                upper.append(_gather(V.Float, self.emission.array, at + 1, 1, active))
-            below = Value(lower)
-            return dr.fma(Value(upper) - below, fraction, below)
+            cosine = dr.rsqrt(dr.fma(x, x, 1.0))
+            low = 0.5 * cosine * cosine * dr.rcp(dr.fma(dr.abs(x), cosine, 1.0))
+            return emission(corner) * dr.select(x < 0, low, 1.0 - low) * c.w
 
         # -- what renderers ask
 

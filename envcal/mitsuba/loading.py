@@ -75,10 +75,6 @@ class SpectralMap:
         data[..., 3] = scale
         return _checked(SpectralMap(data, np.ascontiguousarray(index), grid, light))
 
-    def luminance(self, weights: Float64) -> Float32:
-        """Return Σ weights·P [height, width], weights [n] being ȳ·Δλ on the grid; for sampling, so float32."""
-        return luminance(self.data, self.cluster, self.emissions * weights, self.wavelengths_nm)
-
 
 def load(path: Path) -> SpectralMap:
     """Read an uplift file, by bands of rows."""
@@ -97,6 +93,31 @@ def load(path: Path) -> SpectralMap:
         cluster[rows] = planes["cluster"]
     grid = np.asarray(about.wavelengths_nm, float)
     return _checked(SpectralMap(data, cluster, grid, about.emissions(), str(path)))
+
+
+def slots(cluster: npt.NDArray[np.uint32], clusters: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.uint8]]:
+    """Return the clusters that pixels have, and per pixel the place of its own among them [height, width]."""
+    used = np.flatnonzero(np.bincount(cluster.ravel(), minlength=clusters))
+    if len(used) > 256:
+        raise EnvcalError(f"arrays: pixels of {len(used)} clusters; at most 256 can be told apart.")
+    place = np.zeros(clusters, np.uint8)
+    place[used] = np.arange(len(used))
+    return used, place[cluster]
+
+
+def quads(slot: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint32]:
+    """Return, per pixel, its slot and those of its right, lower and lower right neighbours, from the lowest byte up."""
+    right = np.roll(slot, -1, axis=1)
+    lower, lower_right = (np.concatenate([side[1:], side[-1:]]) for side in (slot, right))
+    return np.stack([slot, right, lower, lower_right], axis=-1).view("<u4")[..., 0].astype(np.uint32, copy=False)
+
+
+def packed(used: npt.NDArray[np.intp], nodes: int, width: int) -> npt.NDArray[np.uint32]:
+    """Return where, in emissions [clusters, nodes] laid flat, the pairs (here, next node) of `width` slots stand."""
+    rows = np.resize(used, width)
+    here = rows[None, :] * nodes + np.arange(nodes)[:, None]
+    after = rows[None, :] * nodes + np.minimum(np.arange(nodes) + 1, nodes - 1)[:, None]
+    return np.stack([here, after], axis=-1).ravel().astype(np.uint32)
 
 
 def load_rgb(path: Path) -> Float32:
@@ -165,7 +186,9 @@ def _checked(spectral: SpectralMap) -> SpectralMap:
     return spectral
 
 
-def luminance(data: Float32, cluster: npt.NDArray[np.uint32], weights: Float64, wavelengths_nm: Float64) -> Float32:
+def luminance(
+    data: Float32, cluster: npt.NDArray[np.unsignedinteger], weights: Float64, wavelengths_nm: Float64
+) -> Float32:
     """Return scale · Σ weights_cluster · S [height, width]; rows are shared out among threads."""
     t = ((wavelengths_nm - CENTRE_NM) / HALF_NM).astype(np.float32)
     used = np.ascontiguousarray(weights, np.float32)
