@@ -676,7 +676,9 @@ def test_the_rendered_scene_is_shown_with_its_difference(run: tuple[Path, dict[s
     assert "mean 1.25, 95 % of the pixels below 3.50" in outline.words and "64 samples a pixel" in outline.words
     assert "rendered with another uplift file" not in outline.words
     shown = [a["alt"] for a in outline.all("img")]
-    assert "The scene lit by the spectra of the map" in shown and "The scene lit by the colours of the map alone" in shown
+    assert (
+        "The scene lit by the spectra of the map" in shown and "The scene lit by the colours of the map alone" in shown
+    )
 
 
 def test_a_scene_rendered_with_another_uplift_file_is_pointed_out(tmp_path: Path) -> None:
