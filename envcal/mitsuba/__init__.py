@@ -77,7 +77,12 @@ def set_variant(*names: str) -> None:
 
 
 def emitter_from(
-    spectral: SpectralMap, *, to_world: Any = None, scale: float = 1.0, rgb: Float32 | None = None, **properties: Any
+    spectral: SpectralMap | None = None,
+    *,
+    to_world: Any = None,
+    scale: float = 1.0,
+    rgb: Float32 | None = None,
+    **properties: Any,
 ) -> Any:
     """Return an emitter of the current variant that shines with `spectral`; no file is needed.
 

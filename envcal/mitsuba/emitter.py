@@ -40,40 +40,42 @@ def emitter_class(variant: str) -> type[Any]:
 
     class EnvcalEmitter(Emitter):  # type: ignore[misc]
         def __init__(self, props: Any, spectral: SpectralMap | None = None, rgb: Float32 | None = None) -> None:
-            super().__init__(props)
-            self.m_flags = mi.EmitterFlags.Infinite | mi.EmitterFlags.SpatiallyVarying
+            # All that can be refused is refused first: an object that was half made would stay in the renderer's
+            # registry as long as somebody, as a notebook does, keeps the error, and be asked with the others.
+            turn, bounds = V.Transform4f(_rotation(props)), _given_bounds(props)
             self.filename = ""
-            self.scale = V.Float(props.get("scale", 1.0))
-            self.to_world = V.Transform4f(_rotation(props))
-            self.to_local = self.to_world.inverse()
-            self._bounds = _given_bounds(props)
             if spectral is None and rgb is None:
                 spectral, rgb = self._read(props)
+            if spectral_variant and spectral is None:
+                raise EnvcalError("the spectral variants need coefficients, not RGB.")
+            if not spectral_variant and rgb is None:
+                raise EnvcalError("the RGB and mono variants need `rgb`, the map in linear sRGB.")
+            super().__init__(props)
+            self.m_flags = mi.EmitterFlags.Infinite | mi.EmitterFlags.SpatiallyVarying
+            self.scale = V.Float(props.get("scale", 1.0))
+            self.to_world, self._bounds = turn, bounds
+            self.to_local = self.to_world.inverse()
             self.dist: Any = None
             self.emission: Any = None
             self.quads: Any = None
             self.table: Any = None
             if spectral_variant:
-                if spectral is None:
-                    raise EnvcalError("the spectral variants need coefficients, not RGB.")
                 self._keep_spectral(spectral)
             else:
-                if rgb is None:
-                    raise EnvcalError("the RGB and mono variants need `rgb`, the map in linear sRGB.")
                 self._keep_rgb(rgb)
             self._prepare_sampling()
             if jit:
                 dr.make_opaque(self.scale)
 
         def _read(self, props: Any) -> tuple[SpectralMap | None, Float32 | None]:
-            if not props.has_property("filename"):
+            if "filename" not in props:
                 raise EnvcalError('an `envcal` emitter needs "filename": the file of `envcal uplift`.')
             resolver: Any = mi.file_resolver
             path = Path(str(resolver().resolve(str(props["filename"]))))
             self.filename = path.name
             return (loading.load(path), None) if spectral_variant else (None, loading.load_rgb(path))
 
-        def _keep_spectral(self, spectral: SpectralMap) -> None:
+        def _keep_spectral(self, spectral: Any) -> None:
             self.height, self.width = spectral.cluster.shape
             self.data = V.TensorXf(spectral.data)
             self.grid = spectral.wavelengths_nm
@@ -82,7 +84,7 @@ def emitter_class(variant: str) -> type[Any]:
             self.slot = slot
             self.quads = None if len(self.used) == 1 else V.TensorXu(loading.quads(slot)).array
 
-        def _keep_rgb(self, rgb: Float32) -> None:
+        def _keep_rgb(self, rgb: Any) -> None:
             self.height, self.width = rgb.shape[:2]
             self.data = V.TensorXf(np.ascontiguousarray(rgb, np.float32))
 
@@ -363,7 +365,7 @@ def _rotation(props: Any) -> Any:
 
 
 def _given_bounds(props: Any) -> tuple[list[float], float] | None:
-    if not props.has_property("radius"):
+    if "radius" not in props:
         return None
     center = props.get("center", [0.0, 0.0, 0.0])
     return [float(v) for v in center], float(props["radius"])
