@@ -7,8 +7,8 @@ from importlib import import_module
 
 BENCHMARKS = {
     "uplift": "speed and memory of every uplift, with ratios to a plain loop and to the lattice",
-    "relit_render": "a rendered scene under the true spectra of a room, our uplift and the usual one",
     "roundtrip": "how exactly RGB comes back, over maps and lamps of all families",
+    "relit_render": "a rendered scene under the true spectra of a room, our uplift and the usual one",
 }
 
 

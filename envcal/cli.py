@@ -376,17 +376,17 @@ def uplift(
 @main.command()
 @click.argument("uplift_path", metavar="UPLIFT", type=FILE)
 @_output("spectral image (.exr)")
-@click.option("--wavelengths", default="380:780:5", show_default=True, help="start:stop:step in nm.")
+@click.option("--wavelengths", default="380:780:5", show_default=True, help="start:stop:step, or a list, in nm.")
 @click.option("--half", is_flag=True, help="16-bit floats.")
 @_json
 def spectra(uplift_path: Path, out: Path, wavelengths: str, half: bool, as_json: bool) -> None:
     """Write the spectral radiance of an UPLIFT file in the spectral EXR layout."""
-    from envcal.config import SpectraSettings, parse_wavelengths
+    from envcal.config import SpectraSettings, parse_bands
     from envcal.reporter import Reporter
     from envcal.steps.spectra import spectra as work
 
     try:
-        parse_wavelengths(wavelengths)
+        parse_bands(wavelengths)
     except ValueError as error:
         raise click.BadParameter(str(error), param_hint="--wavelengths") from None
     with Reporter().progress("spectra") as progress:
