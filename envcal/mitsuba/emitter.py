@@ -215,10 +215,12 @@ def emitter_class(variant: str) -> type[Any]:
         def _light(self, wavelengths: Any, quad: Any, active: Any) -> tuple[Any, Any]:
             """Return t, and what gives E(λ) of the corners 0 … 3 of a quad of texels."""
             last, first = len(self.grid) - 1, float(self.grid[0])
-            at = (wavelengths - first) * (last / (float(self.grid[-1]) - first))
+            step = (float(self.grid[-1]) - first) / last
+            at = (wavelengths - first) * (1 / step)
             inside = dr.select((at >= 0) & (at <= last), Value(1.0), Value(0.0))
             node = dr.clip(dr.floor(at), 0.0, last - 1.0)
-            fraction, many = at - node, len(self.used)
+            # From the node, not as at − node, which beside a spectral line is too coarse.
+            fraction, many = (wavelengths - dr.fma(node, step, first)) * (1 / step), len(self.used)
             packed = 0 if self.quads is None else _gather(V.UInt32, self.quads, quad, 1, active)
             lights = self._all_lights(node, fraction, inside, active) if jit and many <= _PACKET else []
 

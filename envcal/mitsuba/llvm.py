@@ -47,10 +47,9 @@ _PATTERNS = {
 def version_of(path: Path) -> int | None:
     """Return the major version that the name of an LLVM library tells, symbolic links followed, or None."""
     for text in (path.name, str(path), str(path.resolve())):
-        found = re.search(r"libLLVM[^/\\\d]*(\d{1,2})\b", text) or re.search(r"llvm[-@/\\](\d{1,2})\b", text)
-        found = found or re.search(r"libLLVM\.(?:so|dylib)\.(\d{1,2})\b", text)
+        found = re.search(r"libLLVM(?:\.so\.|-)(\d{2})\b|llvm[-@/\\](\d{2})\b", text)
         if found:
-            return int(found.group(1))
+            return int(found.group(1) or found.group(2))
     return None
 
 
