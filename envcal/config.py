@@ -7,6 +7,7 @@ every value keeps its line.
 from __future__ import annotations
 
 import difflib
+import itertools
 import io
 import json
 import re
@@ -55,7 +56,7 @@ def parse_bands(text: str) -> tuple[float, ...]:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         raise ValueError(f"{text!r} is neither start:stop:step nor a list of nm, such as 450,532.5,650") from None
-    apart = all(upper - lower >= 1e-3 for lower, upper in zip(values, values[1:], strict=False))
+    apart = all(upper - lower >= 1e-3 for lower, upper in itertools.pairwise(values))
     if not apart or not all(360 <= value <= 830 for value in values):
         raise ValueError(f"{text!r} should rise within 360 to 830 nm, at least 0.001 apart, such as 450,532.5,650")
     return values

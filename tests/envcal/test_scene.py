@@ -193,8 +193,9 @@ def test_the_scene_is_rendered_under_both_lightings(made, tmp_path):
     assert all((tmp_path / f"{name}.png").stat().st_size > 1000 for name in ("uplift", "scaled", "difference"))
 
 
-#: Passes of each kind whose scatter tells the standard error; 3.5 of it for the largest of 72 figures.
-RUNS, STANDARD_ERRORS = 6, 4.0
+#: Renders of each kind, whose scatter tells the standard error: with ten degrees of freedom, 6 of it is what the largest of
+#: 72 figures reaches once in a hundred runs. On top, 2e-3: single precision and the 1 nm table of the film's responses.
+RUNS, STANDARD_ERRORS, TABLES = 6, 6.0, 2e-3
 
 
 @pytest.mark.slow
@@ -234,8 +235,8 @@ def test_passes_without_the_plugin_give_the_picture_that_the_plugin_gives(tmp_pa
     theirs = np.stack([script["render"](tmp_path / "native.xml", 256, 256, seed=100 + k) for k in range(RUNS)])
     blocks = [part.reshape(RUNS, 4, 8, 6, 8, 3).mean(axis=(2, 4)) for part in (ours, theirs)]
     error = np.sqrt(sum(part.var(axis=0, ddof=1) for part in blocks) / RUNS)
-    difference = blocks[0].mean(axis=0) - blocks[1].mean(axis=0)
-    assert (np.abs(difference) < STANDARD_ERRORS * error.mean(axis=(0, 1)) * 1.5 + 2e-3 * blocks[0].mean(axis=0)).all()
+    means = [part.mean(axis=0) for part in blocks]
+    assert (np.abs(means[0] - means[1]) < STANDARD_ERRORS * error + TABLES * means[0]).all()
     np.testing.assert_allclose(theirs.mean(axis=(0, 1, 2)), ours.mean(axis=(0, 1, 2)), rtol=5e-3)
 
 

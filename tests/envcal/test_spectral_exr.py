@@ -120,7 +120,7 @@ def test_what_a_half_float_cannot_hold_is_refused(tmp_path):
 def test_an_8k_map_of_81_bands_is_written_within_4_gb(tmp_path):
     """A strip of it: rows are streamed, so the memory is that of any height; the process measures its own peak."""
     pytest.importorskip("resource")
-    width, height = 8192, 128
+    width, height = 8192, 64
     rng = np.random.default_rng(0)
     about = open_uplift(small_uplift(tmp_path)[0]).about.model_dump(mode="json")
     planes = {name: rng.normal(0, 1e-5, (height, width)).astype(np.float32) for name in ("c0", "c1", "c2")}
@@ -144,5 +144,5 @@ def test_an_8k_map_of_81_bands_is_written_within_4_gb(tmp_path):
         check=True,
     )
     used = int(done.stdout.split()[-1]) * (1 if sys.platform == "darwin" else 1024)
-    assert used < 4e9
+    assert used < 4e9, f"{used / 1e9:.2f} GB"
     assert exr.header(tmp_path / "s.exr").size == (height, width)
