@@ -31,6 +31,8 @@ from uplift.table import build_table
 VARIANT = "llvm_ad_spectral"
 _SRGB_OF_2020 = np.array([[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]])
 _WIDTH = 256
+_NOISE_SPP = 16
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -158,15 +160,33 @@ def _render(scene: Any, spp: int, seed: int) -> npt.NDArray[np.float64]:
     return np.array(mi.render(scene, spp=spp, seed=seed), np.float64)
 
 
+def _noise_scene(light: Any) -> Any:
+    """A grey ball on a floor that fills the picture, so that all noise is that of lighting grey things."""
+    mi: Any = import_module("mitsuba")
+    film = {"type": "hdrfilm", "width": _WIDTH, "height": _WIDTH, "rfilter": {"type": "box"}}
+    look = mi.ScalarTransform4f().look_at([0, 6, 3], [0, 0, 0], [0, 1, 0])
+    floor = mi.ScalarTransform4f().translate([0, -1, 0]).rotate([1, 0, 0], -90).scale(20)
+    grey = {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.5}}
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "light": light,
+            "integrator": {"type": "path", "max_depth": 4},
+            "sensor": {"type": "perspective", "fov": 40, "to_world": look, "film": film},
+            "ball": {"type": "sphere", "bsdf": grey},
+            "floor": {"type": "rectangle", "to_world": floor, "bsdf": grey},
+        }
+    )
+
+
 def _pictures(kinds: dict[str, dict[str, Any]], *, spp: int, repeat: int) -> dict[str, Any]:
     """Return the CPU seconds a picture and the variance a sample of each emitter.
 
     Only one stands in memory at a time, for the renderer compiles code for every emitter there is.
     """
     mi: Any = import_module("mitsuba")
-
     seconds: dict[str, list[list[float]]] = {name: [[], []] for name in kinds}
-    pictures: dict[str, list[npt.NDArray[np.float64]]] = {name: [] for name in kinds}
+    luminances: dict[str, list[npt.NDArray[np.float64]]] = {name: [] for name in kinds}
     for turn in range(2):
         for name, what in kinds.items():
             light = mi.load_dict(what)
@@ -175,20 +195,20 @@ def _pictures(kinds: dict[str, dict[str, Any]], *, spp: int, repeat: int) -> dic
                 _render(scene, spp, 0)
                 for k in range(repeat):
                     start = time.process_time()
-                    image = _render(scene, spp, 1 + turn * repeat + k)
+                    _render(scene, spp, 1 + k)
                     seconds[name][which].append(time.process_time() - start)
-                    if which:
-                        pictures[name].append(image)
                 del scene
-            del light
+            scene = _noise_scene(light)
+            for k in range(2 * repeat):
+                image = _render(scene, _NOISE_SPP, turn * 2 * repeat + k)
+                luminances[name].append(image @ _LUMINANCE)
+            del scene, light
             gc.collect()
     seen = {name: min(times[0]) for name, times in seconds.items()}
     traced = {name: min(times[1]) for name, times in seconds.items()}
-    # Per pixel, so that a few bright ones do not speak for all: each variance by the mean of both emitters.
-    mean = sum(np.mean(images, axis=0) for images in pictures.values()) / len(pictures)
     noise = {
-        name: float(np.mean(np.var(images, axis=0, ddof=1) / np.maximum(mean, 1e-6) ** 2) * spp)
-        for name, images in pictures.items()
+        name: float(np.mean(np.var(images, axis=0, ddof=1) / np.mean(images, axis=0) ** 2)) * _NOISE_SPP
+        for name, images in luminances.items()
     }
     _compare("time, map alone", "s", seen)
     _compare("time, path tracing", "s", traced)
@@ -253,7 +273,7 @@ def _sun_and_sky() -> dict[str, Any]:
     from envcal.mitsuba import emitter_from
     from envcal.mitsuba.loading import SpectralMap
 
-    # The same two colours for both: a sun of 4000 K a hundred times as bright as a sky of 12 000 K.
+    # The same two colours for both: a sun of 5000 K a hundred times as bright as a sky of 12 000 K.
     eyes, space = observer(), rgb_space("sRGB")
     sun, sky = (family_emission("daylight", k, eyes) for k in (5000.0, 12000.0))
     white = illuminant("D65", eyes)
