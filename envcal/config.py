@@ -7,8 +7,8 @@ every value keeps its line.
 from __future__ import annotations
 
 import difflib
-import itertools
 import io
+import itertools
 import json
 import re
 from collections.abc import Mapping, Sequence

@@ -7,6 +7,7 @@ pass is counted as four times the median: caustics end up a little dark, in both
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,7 +91,8 @@ def render(
         raise EnvcalError(f"{scene_file}: Mitsuba cannot load it: {str(error).strip()}") from error
     passes = max(_LEAST_PASSES, -(-width * height * spp // _LANES))
     passes += passes % 2
-    each = max(1, round(spp / passes))
+    each = _even_count(-(-spp // passes))
+    passes = max(_LEAST_PASSES, 2 * round(spp / each / 2))
     layers = np.empty((passes, height, width, 3), np.float32)
     for k in range(passes):
         layers[k] = np.asarray(mi.render(scene, spp=each, seed=k))
@@ -99,6 +101,12 @@ def render(
     gc.collect()
     tamed = without_fireflies(layers) if tame else layers
     return Rendered(tamed.mean(axis=0), tamed[::2].mean(axis=0), tamed[1::2].mean(axis=0))
+
+
+def _even_count(samples: int) -> int:
+    """The least k·k or k·(k + 1) that is not below `samples`: what Mitsuba's multijitter sampler takes as it is."""
+    k = max(1, math.isqrt(samples))
+    return next(count for count in (k * k, k * (k + 1), (k + 1) ** 2) if count >= samples)
 
 
 def without_fireflies(passes: Image) -> Image:

@@ -13,7 +13,7 @@ from envcal.errors import EnvcalError
 from envcal.reflectances import colour_checker
 from envcal.scene import description, pictures
 from envcal.scene.make import make_scene, native_rows
-from envcal.scene.render import Rendered, without_fireflies
+from envcal.scene.render import Rendered, _even_count, without_fireflies
 from tests.envcal.small_uplift import small_uplift
 
 
@@ -119,6 +119,13 @@ def test_a_firefly_counts_as_four_times_the_median_and_the_rest_is_left_alone():
     assert 3.5 < tamed[3, 1, 2].max() < 4.5
     passes[3, 1, 2] = tamed[3, 1, 2] = 0.0
     np.testing.assert_array_equal(tamed, passes)
+
+
+def test_a_pass_has_as_many_samples_as_the_sampler_takes():
+    for samples in range(1, 200):
+        count = _even_count(samples)
+        k = int(count**0.5)
+        assert count >= samples and count in (k * k, k * (k + 1)) and count < samples + 2 * k + 1
 
 
 def rendered(image, noise, seed):
