@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import io
+import itertools
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -45,6 +46,27 @@ def parse_wavelengths(text: str) -> tuple[float, float, float]:
     return start, stop, step
 
 
+def parse_bands(text: str) -> tuple[float, ...]:
+    """Return wavelengths in nm: a grid such as `380:780:5`, or a list such as `450,532.5,650`; else a ValueError."""
+    if ":" in text:
+        start, stop, step = parse_wavelengths(text)
+        count = round((stop - start) / step) + 1
+        return tuple(start + (stop - start) * k / (count - 1) for k in range(count))
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"{text!r} is neither start:stop:step nor a list of nm, such as 450,532.5,650") from None
+    apart = all(upper - lower >= 1e-3 for lower, upper in itertools.pairwise(values))
+    if not apart or not all(360 <= value <= 830 for value in values):
+        raise ValueError(f"{text!r} should rise within 360 to 830 nm, at least 0.001 apart, such as 450,532.5,650")
+    return values
+
+
+def _bands(text: str) -> str:
+    parse_bands(text)
+    return text
+
+
 def _wavelengths(text: str) -> str:
     parse_wavelengths(text)
     return text
@@ -64,6 +86,7 @@ def _light_type(text: str) -> str:
 
 LightType = Annotated[str, AfterValidator(_light_type)]
 Wavelengths = Annotated[str, AfterValidator(_wavelengths)]
+Bands = Annotated[str, AfterValidator(_bands)]
 Pixel = tuple[float, float]
 Share = Annotated[float, Field(ge=0, le=1)]
 Frames = str | list[str]
@@ -205,8 +228,8 @@ class UpliftSettings(Settings):
 class SpectraSettings(Settings):
     """Coefficients → spectral radiance."""
 
-    wavelengths: Wavelengths = "380:780:10"
-    """start:stop:step in nm, within the grid of the emissions."""
+    wavelengths: Bands = "380:780:10"
+    """start:stop:step, or a list such as `450,532.5,650`, in nm, within the grid of the emissions."""
     half: bool = True
     """16-bit floats, half the size; more than 65504 is refused."""
 
@@ -236,8 +259,8 @@ class Pipeline(Settings):
     @model_validator(mode="after")
     def _bands_lie_on_the_grid(self) -> Pipeline:
         low, high, _ = parse_wavelengths(self.wavelengths)
-        start, stop, _ = parse_wavelengths(self.spectra.wavelengths)
-        if start < low or stop > high:
+        bands = parse_bands(self.spectra.wavelengths)
+        if bands[0] < low or bands[-1] > high:
             raise ValueError(
                 f"spectra.wavelengths {self.spectra.wavelengths} leaves the grid {self.wavelengths}, outside which "
                 f"no emission is known; narrow it, or widen `wavelengths`"

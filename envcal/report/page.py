@@ -26,6 +26,7 @@ SECTIONS = {
     "lights": "Lights",
     "uplift": "Uplift",
     "spectra": "Spectral image",
+    "scene": "A scene in its light",
     "times": "Times and files",
 }
 Found = TypeVar("Found")
@@ -59,6 +60,7 @@ def write_report(output: Path, records: Mapping[str, Any]) -> Outcome:
 def _gather(output: Path, records: Mapping[str, StageRecord]) -> dict[str, Any]:
     from envcal.report import capture_sections as capture
     from envcal.report import light_sections as light
+    from envcal.report.scene_section import scene
 
     problems: list[str] = []
 
@@ -84,9 +86,14 @@ def _gather(output: Path, records: Mapping[str, StageRecord]) -> dict[str, Any]:
         "lights": tried(lambda: light.lights(output, found)) if found else None,
         "uplift": tried(lambda: light.uplift(output, figures("uplift"), found)),
         "spectra": tried(lambda: light.spectra(output)),
+        "scene": tried(lambda: scene(output, _digest(records, "uplift", "uplift/environment.exr"))),
         "figures": {name: record.figures for name, record in records.items()},
         "problems": problems,
     }
+
+
+def _digest(records: Mapping[str, StageRecord], stage: str, file: str) -> str | None:
+    return records[stage].outputs.get(file) if stage in records else None
 
 
 def _head(records: Mapping[str, StageRecord], order: list[str], problems: list[str]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from envcal import exr, provenance
-from envcal.config import SpectraSettings, parse_wavelengths
+from envcal.config import SpectraSettings, parse_bands
 from envcal.errors import EnvcalError
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
@@ -23,13 +23,12 @@ def spectra(source: Path, out: Path, settings: SpectraSettings, *, progress: Pro
     """Write the spectral radiance of an uplift file at `settings.wavelengths` to `out`, in bands of rows."""
     header, about = read_any_about(source)
     grid = about.wavelengths_nm
-    start, stop, step = parse_wavelengths(settings.wavelengths)
-    if start < grid[0] or stop > grid[-1]:
+    wavelengths = np.asarray(parse_bands(settings.wavelengths))
+    if wavelengths[0] < grid[0] or wavelengths[-1] > grid[-1]:
         raise EnvcalError(
             f"{source}: its emissions are known from {grid[0]:g} to {grid[-1]:g} nm; {settings.wavelengths} leaves that "
             f"range. Narrow the wavelengths, or widen `wavelengths` and run `envcal uplift` again."
         )
-    wavelengths = np.linspace(start, stop, round((stop - start) / step) + 1)
     kinds = channels([float(w) for w in wavelengths], half=settings.half)
     attributes = {
         **provenance.attributes("spectra", settings=settings.model_dump(mode="json"), inputs=[source]),

@@ -210,6 +210,7 @@ def finished_run(
     (output / "cluster/lights.json").write_text(found.model_dump_json(), encoding="utf-8")
     _write_uplift(output / "uplift/environment.exr", balanced, labels, found)
     _write_spectra(output / "spectra/environment.exr", balanced)
+    _write_scene(output / "mitsuba")
     return {
         "merge": record(
             summary="5 frames",
@@ -274,6 +275,17 @@ def _write_spectra(path: Path, image: np.ndarray) -> None:
         path, image.shape[:2], channels=channels(wavelengths, half=True), attributes={"unit": "relative"}
     ) as writer:
         writer.rows(planes | exr.rgb_planes(np.nan_to_num(image)))
+
+
+def _write_scene(folder: Path, *, uplift: str = "6" * 64) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, height in (("uplift", 54), ("scaled", 54), ("difference", 64)):
+        cv2.imwrite(str(folder / f"{name}.png"), np.full((height, 96, 3), 90, np.uint8))
+    difference = {"mean": 1.25, "p95": 3.5, "max": 11.0, "noise": 0.2}
+    figures = {
+        "uplift": uplift, "variant": "llvm_ad_spectral", "width": 96, "height": 54, "spp": 64, "exposure_stops": -1.5, "difference": difference,
+    }  # fmt: skip
+    (folder / "figures.json").write_text(json.dumps(figures), encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -441,6 +453,7 @@ def test_missing_pixels_are_hatched_and_explained(run: tuple[Path, dict[str, Any
 def test_a_run_stopped_early_shows_what_is_there(tmp_path: Path, last: str, sections: list[str]) -> None:
     records = finished_run(tmp_path)
     names = list(records)
+    shutil.rmtree(tmp_path / "mitsuba")
     for name in names[names.index(last) + 1 : -1]:
         shutil.rmtree(tmp_path / name)
         del records[name]
@@ -656,3 +669,30 @@ def test_a_page_that_does_ask_or_complain_would_be_noticed(tmp_path: Path) -> No
     )
     log, asked = in_browser(page, tmp_path, "--dump-dom")
     assert "CONSOLE" in log and "http://127.0.0.1:9/x.png" in asked
+
+
+def test_the_rendered_scene_is_shown_with_its_difference(run: tuple[Path, dict[str, Any], str]) -> None:
+    outline = Outline(run[2])
+    assert "mean 1.25, 95 % of the pixels below 3.50" in outline.words and "64 samples a pixel" in outline.words
+    assert "rendered with another uplift file" not in outline.words
+    shown = [a["alt"] for a in outline.all("img")]
+    assert (
+        "The scene lit by the spectra of the map" in shown and "The scene lit by the colours of the map alone" in shown
+    )
+
+
+def test_a_scene_rendered_with_another_uplift_file_is_pointed_out(tmp_path: Path) -> None:
+    records = finished_run(tmp_path)
+    _write_scene(tmp_path / "mitsuba", uplift="0" * 64)
+    write_report(tmp_path, records)
+    assert "rendered with another uplift file" in Outline((tmp_path / "report.html").read_text(encoding="utf-8")).words
+
+
+def test_a_damaged_scene_is_left_out_with_a_warning(tmp_path: Path) -> None:
+    records = finished_run(tmp_path)
+    (tmp_path / "mitsuba/difference.png").write_bytes(b"no picture")
+    outcome = write_report(tmp_path, records)
+    assert any("difference.png: cannot be read" in text for text in outcome.warnings)
+    (tmp_path / "mitsuba/figures.json").write_text("{}", encoding="utf-8")
+    outcome = write_report(tmp_path, records)
+    assert any("figures.json: is damaged" in text for text in outcome.warnings)

@@ -1,0 +1,100 @@
+"""An uplift file opened for export, and its pixels by bands of rows: their coefficients, colours and light."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from envcal import exr
+from envcal.errors import EnvcalError
+from envcal.uplift_file import About, read_about
+from uplift.radiance import rgb_of
+from uplift.spectrum import Observer, RGBSpace, observer, rgb_space
+
+Float64 = npt.NDArray[np.float64]
+
+#: Pixels that are held at a time.
+TILE_PIXELS = 1 << 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Opened:
+    """An uplift file: its header, what it says of itself, and the observer and space in which its RGB is exact."""
+
+    path: Path
+    header: exr.Header
+    about: About
+    observer: Observer
+    space: RGBSpace
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width)."""
+        return self.header.size
+
+    @property
+    def wavelengths_nm(self) -> Float64:
+        """The grid [N] of the emissions."""
+        return self.observer.wavelengths_nm
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Band:
+    """Rows from `top`: `coefficients` [rows, W, 3] for λ in nm, `scale` [rows, W], `cluster` [rows, W]."""
+
+    top: int
+    coefficients: npt.NDArray[np.float32]
+    scale: npt.NDArray[np.float32]
+    cluster: npt.NDArray[np.uint32]
+
+    def rgb(self, opened: Opened) -> Float64:
+        """Linear RGB [rows, W, 3] of the spectra, in the file's own space; 0 where there is no radiance."""
+        return rgb_of(
+            self.coefficients,
+            self.scale,
+            self.cluster,
+            opened.about.emissions(),
+            observer=opened.observer,
+            space=opened.space,
+        )
+
+
+def open_uplift(path: Path) -> Opened:
+    """Read what an uplift file says of itself; an `EnvcalError` if it is none."""
+    header, about = read_about(path)
+    grid = about.wavelengths_nm
+    seen = observer(grid[0], grid[-1], (grid[-1] - grid[0]) / (len(grid) - 1), about.observer)
+    return Opened(path, header, about, seen, rgb_space(about.space, observer=seen))
+
+
+def bands(opened: Opened) -> Iterator[Band]:
+    """Yield the map from the top, some rows at a time."""
+    rows = max(1, TILE_PIXELS // opened.size[1])
+    count = len(opened.about.clusters)
+    for top, planes in exr.bands(opened.path, ["c0", "c1", "c2", "scale", "cluster"], rows=rows):
+        if int(planes["cluster"].max()) >= count:
+            raise EnvcalError(
+                f"{opened.path}: names emission {int(planes['cluster'].max())}, but holds {count}. Run `envcal uplift` "
+                f"again."
+            )
+        coefficients = np.stack([planes["c0"], planes["c1"], planes["c2"]], axis=-1)
+        yield Band(top, coefficients, planes["scale"], planes["cluster"])
+
+
+def conversion(source: RGBSpace, target: RGBSpace) -> Float64:
+    """Linear RGB [3, 3] of `target` from that of `source`, white to white by Bradford's adaptation.
+
+    White stays white, as in the conversions of the ACES configurations of OpenColorIO: a light of D65 is (1, 1, 1) in
+    every space. Between spaces of the same white the adaptation is the identity.
+    """
+    from calibrate.adapt import CONE_FROM_XYZ
+
+    cones = CONE_FROM_XYZ["Bradford"]
+    white = source.xyz_from_rgb.sum(axis=1)
+    wanted = target.xyz_from_rgb.sum(axis=1)
+    adapted = np.linalg.inv(cones) @ np.diag((cones @ wanted) / (cones @ white)) @ cones
+    return np.asarray(target.rgb_from_xyz @ adapted @ source.xyz_from_rgb)

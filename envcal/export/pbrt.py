@@ -1,0 +1,188 @@
+"""An uplift file for pbrt-v4: square RGB maps, one for each light, since pbrt has no spectral environment.
+
+What pbrt-v4 does (its sources: lights.cpp, spectrum.cpp, colorspace.cpp): `LightSource "infinite"` takes either one spectrum
+for all directions or an RGB image, which must be square and equal-area; a pixel becomes RGBIlluminantSpectrum, that is
+2·max(rgb) · sigmoid(rgb / (2·max(rgb))) · the illuminant of the image's colour space, looked up without interpolation;
+negative components become 0. The colour space is found by the image's chromaticities, and is one of sRGB, DCI-P3, Rec. 2020
+(all D65) and ACES2065-1. Several infinite lights add up. So the colours can be kept, the lamps' spectra cannot.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from envcal import atomic, exr, provenance
+from envcal.export.loss import loss
+from envcal.export.octahedral import resampled, side_of
+from envcal.export.opened import Opened, bands, conversion, open_uplift
+from envcal.reporter import Progress, silent
+from envcal.runner import Outcome
+from uplift.spectrum import rgb_space
+
+#: The widest of pbrt's colour spaces whose illuminant is D65.
+SPACE = "ITU-R BT.2020"
+
+
+def export_pbrt(source: Path, folder: Path, *, half: bool = False, progress: Progress = silent) -> Outcome:
+    """Write a square map for each light of an uplift file, its spectrum, `environment.pbrt` and a README.md.
+
+    The figures say what pbrt's own spectra lose against the file's: ΔE2000 of ColorChecker patches lit by single pixels.
+    """
+    opened = open_uplift(source)
+    latlong, cluster, clipped = _latlong(opened)
+    used = [int(k) for k in np.unique(cluster[latlong.max(axis=-1) > 0])]
+    side = side_of(opened.size[1])
+    steps = len(used) + 1
+    lights: list[dict[str, Any]] = []
+    overflow = 0
+    space = rgb_space(SPACE, observer=opened.observer)
+    for number, k in enumerate(used):
+        image = resampled(latlong, cluster, k, side)
+        if half:
+            overflow += int((image > 65504.0).any(axis=-1).sum())
+            image = np.minimum(image, 65504.0)
+        name, about = f"light{k}", opened.about.clusters[k]
+        attributes = {
+            **provenance.attributes("export", settings={"to": "pbrt", "light": k, "half": half}, inputs=[source]),
+            **provenance.colour_space(SPACE),
+        }
+        with exr.Writer(
+            folder / f"{name}.exr",
+            (side, side),
+            channels=dict.fromkeys("RGB", "f2" if half else "f4"),
+            attributes=attributes,
+        ) as writer:
+            writer.rows(exr.rgb_planes(image))
+        atomic.write_text(folder / f"{name}.spd", spd(opened.about.wavelengths_nm, about.emission))
+        mean = image.astype(np.float64).mean(axis=(0, 1)) @ space.luminance_weights
+        lights.append(
+            {
+                "name": name,
+                "type": about.type,
+                "cct": about.cct,
+                "source": about.source,
+                "mean_luminance": float(mean),
+            }
+        )
+        progress(number + 1, steps)
+    before = _mean_luminance(latlong, space.luminance_weights)
+    after = sum(light["mean_luminance"] for light in lights)
+    lost = loss(opened, space=SPACE)
+    progress(steps, steps)
+    figures = {
+        "side": side,
+        "space": SPACE,
+        "half": half,
+        "lights": lights,
+        "energy_ratio": after / before if before > 0 else 1.0,
+        "negative": clipped,
+        "overflow": overflow,
+        "relight_delta_e": lost,
+    }
+    atomic.write_text(folder / "environment.pbrt", _scene(lights))
+    atomic.write_text(folder / "README.md", _readme(figures, source.name))
+    warnings = [
+        f"pbrt-v4 makes its own spectra from RGB: what single pixels light is off by ΔE2000 {lost['mean']:.2f} in the mean "
+        f"({lost['p95']:.2f} at the 95th percentile) against this file's spectra. README.md says more."
+    ]
+    if clipped:
+        warnings.append(f"{clipped} pixels lie outside of Rec. 2020; pbrt takes negative components for 0.")
+    if overflow:
+        warnings.append(f"{overflow} texels are above 65504 and were set to it. Leave out --half.")
+    return Outcome(f"{len(lights)} lights of {side}×{side} for pbrt-v4", figures, warnings)
+
+
+def _latlong(opened: Opened) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8], int]:
+    """The colours [H, W, 3] in pbrt's space, the light of each pixel [H, W], and how many had a negative component."""
+    matrix = conversion(opened.space, rgb_space(SPACE, observer=opened.observer))
+    colours = np.empty((*opened.size, 3), np.float32)
+    cluster = np.empty(opened.size, np.uint8)
+    clipped = 0
+    for band in bands(opened):
+        rgb = band.rgb(opened) @ matrix.T
+        # What rounding alone makes negative is not counted.
+        clipped += int((rgb.min(axis=-1) < -1e-4 * rgb.max(axis=-1)).sum())
+        here = slice(band.top, band.top + len(rgb))
+        colours[here] = np.maximum(rgb, 0.0)
+        cluster[here] = band.cluster
+    return colours, cluster, clipped
+
+
+def _mean_luminance(latlong: npt.NDArray[np.float32], weights: npt.NDArray[np.float64]) -> float:
+    """The luminance averaged over the sphere."""
+    rows = latlong.mean(axis=1, dtype=np.float64) @ weights
+    sines = np.sin(np.pi * (np.arange(len(rows)) + 0.5) / len(rows))
+    return float(rows @ sines / sines.sum())
+
+
+def spd(wavelengths_nm: list[float], values: list[float]) -> str:
+    """A spectrum as pbrt reads it from a file: a wavelength in nm and a value a line."""
+    return "".join(f"{w:g} {v:.9g}\n" for w, v in zip(wavelengths_nm, values, strict=True))
+
+
+def _scene(lights: list[dict[str, Any]]) -> str:
+    text = [
+        '# The environment as pbrt-v4 can have it. Include it in the world block: Include "environment.pbrt"',
+        "#",
+        "# The maps are in pbrt's own frame: z is up, and u = phi/2pi of the lat-long map from +x towards +y. So the middle of",
+        "# the lat-long map stands towards -x. For a scene whose up is +y and that is mirrored at its head by `Scale -1 1 1`",
+        "# (as scenes from right-handed programs are), remove the # of the next line: the middle then stands towards -z.",
+        "AttributeBegin",
+        "    # ConcatTransform [ 0 0 1 0  -1 0 0 0  0 1 0 0  0 0 0 1 ]",
+    ]
+    for light in lights:
+        cct = f", {light['cct']:.0f} K" if light["cct"] else ""
+        text += [
+            f"    # {light['type']}{cct}; its own spectrum, which pbrt cannot use with an image: {light['name']}.spd",
+            f'    LightSource "infinite" "string filename" [ "{light["name"]}.exr" ] "float scale" [ 1 ]',
+        ]
+    return "\n".join([*text, "AttributeEnd", ""])
+
+
+def _readme(figures: dict[str, Any], source: str) -> str:
+    lost = figures["relight_delta_e"]
+    rows = "\n".join(
+        f"| `{light['name']}.exr` | {light['type']} | {'–' if light['cct'] is None else format(light['cct'], '.0f') + ' K'} "
+        f"| {light['mean_luminance']:.4g} | {light['source']} |"
+        for light in figures["lights"]
+    )
+    return f"""# {source} for pbrt-v4
+
+`Include "environment.pbrt"` in the world block of a scene. The maps are {figures["side"]}×{figures["side"]}, linear Rec. 2020, in the square
+equal-area layout that pbrt-v4 wants (`imgtool makeequiarea` has been done); one for each light, so that a light can be dimmed or
+left out by its `scale`. Their sum is the whole map.
+
+| map | type | CCT | mean luminance | spectrum |
+|---|---|---|---|---|
+{rows}
+
+A map value of 1 is a radiance of 1, white, in the rendered image at pbrt's default exposure (`iso` 100, 1 s).
+
+## What is kept
+
+Colours and light: the mean luminance over the sphere is {figures["energy_ratio"]:.5f} of the original's. {figures["negative"]} pixels lay
+outside of Rec. 2020 and lost their negative components; {figures["overflow"]} texels were too bright for a half float.
+
+## What is lost
+
+The spectra. pbrt-v4 gives an RGB pixel of an infinite light the spectrum 2·max(rgb) · sigmoid · D65 whatever lamp there was, and an
+infinite light with a spectrum (`"spectrum L"`) cannot have an image. `lightN.spd` are the lamps' spectra, Σ ȳ·E·Δλ = 1, for lights
+that you model by hand: an area light with `"spectrum L" [ "light0.spd" ]`.
+
+Measured on {lost["pixels"]} pixels of this map, evenly over the sphere: 24 ColorChecker patches lit by the pixel's spectrum, and by the
+spectrum that pbrt makes of its RGB (solved exactly; pbrt's table adds its own interpolation error).
+
+| ΔE2000 | |
+|---|---|
+| mean | {lost["mean"]:.3f} |
+| mean, each pixel weighted by its light | {lost["mean_by_light"]:.3f} |
+| median of the pixels | {lost["median"]:.3f} |
+| 95th percentile of the pixels | {lost["p95"]:.3f} |
+
+The map itself, seen in a mirror, keeps its colours. What it lights does not: by as much as this table says. pbrt also looks
+up texels without interpolation: enlarge the map first if its texels show in mirrors.
+"""

@@ -1,0 +1,100 @@
+"""The map as plain RGB for renderers without spectra: ACEScg, sRGB, Rec. 2020 and others, lat-long."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from envcal import atomic, exr, provenance
+from envcal.export.opened import bands, conversion, open_uplift
+from envcal.reporter import Progress, silent
+from envcal.runner import Outcome
+from uplift.spectrum import rgb_space
+
+#: The largest finite half float.
+LARGEST_HALF = 65504.0
+
+
+def file_name(space: str) -> str:
+    """The name of the map in a space, such as `environment_acescg.exr`."""
+    return f"environment_{space.lower().replace(' ', '_').replace('itu-r_bt.', 'rec')}.exr"
+
+
+def export_rgb(
+    source: Path, folder: Path, *, space: str = "ACEScg", half: bool = False, progress: Progress = silent
+) -> Outcome:
+    """Write the colours of an uplift file as a lat-long map in `space`, and a README.md, into `folder`.
+
+    The colours are those of the spectra, integrated over the file's own grid, so pixels that were moved to the closest
+    possible colour are shown as they will light. White is kept (Bradford). Negative components, colours outside of
+    `space`, are kept and counted. With `half`, what is brighter than a half float can hold is set to 65504 and counted.
+    """
+    opened = open_uplift(source)
+    target = rgb_space(space, observer=opened.observer)
+    matrix = conversion(opened.space, target)
+    out = folder / file_name(space)
+    attributes = {
+        **provenance.attributes("export", settings={"to": "rgb", "space": space, "half": half}, inputs=[source]),
+        **provenance.colour_space(space),
+        "envmap": True,
+    }
+    height, width = opened.size
+    overflow = outside = 0
+    brightest = lost = total = 0.0
+    with exr.Writer(
+        out, opened.size, channels=dict.fromkeys("RGB", "f2" if half else "f4"), attributes=attributes
+    ) as writer:
+        for band in bands(opened):
+            rgb = band.rgb(opened) @ matrix.T
+            outside += int((rgb.min(axis=-1) < -1e-4 * np.abs(rgb).max(axis=-1)).sum())
+            brightest = max(brightest, float(rgb.max()))
+            if half:
+                theta = np.pi * (band.top + np.arange(len(rgb)) + 0.5) / height
+                weight = np.sin(theta)[:, np.newaxis]
+                before = rgb @ target.luminance_weights
+                over = (np.abs(rgb) > LARGEST_HALF).any(axis=-1)
+                overflow += int(over.sum())
+                rgb = np.clip(rgb, -LARGEST_HALF, LARGEST_HALF)
+                total += float((before * weight).sum())
+                lost += float(((before - rgb @ target.luminance_weights) * weight).sum())
+            writer.rows(exr.rgb_planes(rgb))
+            progress(band.top + len(rgb), height)
+    figures = {
+        "file": out.name,
+        "space": space,
+        "half": half,
+        "brightest": brightest,
+        "overflow": overflow,
+        "light_lost": lost / total if total > 0 else 0.0,
+        "outside": outside,
+    }
+    warnings = []
+    if overflow:
+        warnings.append(
+            f"{overflow} of {height * width} pixels are brighter than a half float can hold ({brightest:.4g}; at most "
+            f"65504) and were set to 65504: {figures['light_lost']:.2%} of the light is lost. Leave out --half."
+        )
+    if outside:
+        warnings.append(
+            f"{outside} of {height * width} pixels have colours outside of {space}: a component is negative. Renderers "
+            f"clip it, which changes the colour; a wider space such as ACEScg loses less."
+        )
+    atomic.write_text(folder / "README.md", _readme(figures, opened.space.name))
+    kind = "half" if half else "float"
+    return Outcome(f"{width}×{height} in {space}, {kind}", figures, warnings)
+
+
+def _readme(figures: dict[str, object], source: str) -> str:
+    return f"""# RGB map
+
+`{figures["file"]}`: lat-long, linear {figures["space"]} (the header's `chromaticities`), {"half" if figures["half"] else "float"}.
+Row 0 is up, the first column's left edge is u = 0; values are relative to a D65 white of 1.
+
+White stays white: between spaces of different white points ({source} has D65; ACES spaces have ACES white, about D60) the
+colours are adapted by Bradford's method.
+
+What is lost: the spectra. A renderer that uplifts this map by itself gives every pixel a smooth spectrum under one white, and
+what it lights will look as under that, not as under the lamps of the place. Pixels outside of the space: {figures["outside"]};
+pixels that a half float could not hold: {figures["overflow"]}.
+"""
