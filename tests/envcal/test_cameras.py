@@ -99,7 +99,7 @@ def test_a_name_that_is_neither_camera_nor_file_is_told_with_the_names_there_are
         ("a.csv", csv_text(CURVES[::5], nm=NM[::5]), "50 nm between two samples"),
         ("a.csv", csv_text(CURVES * [1, 0, 1]), "channel G sees nothing"),
         ("a.csv", csv_text(CURVES - 0.1), "not negative"),
-        ("a.csv", csv_text(np.where(CURVES >= CURVES.max(), np.nan, CURVES)), "no finite numbers"),
+        ("a.csv", csv_text(np.where(CURVES.max() <= CURVES, np.nan, CURVES)), "no finite numbers"),
         ("a.json", "{", "is not JSON"),
         ("a.json", "[" * 100_000, "is not JSON"),
         ("a.json", "[]", "where they should be"),
