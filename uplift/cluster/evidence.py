@@ -49,6 +49,11 @@ class Evidence:
     weight: Floats  # [P]
     place: npt.NDArray[np.int64]  # [P] flat index into the working map
     direct: bool
+    above: float = np.inf  # luminance above which a pixel is a lamp seen directly
+
+    def kept(self, those: Bools) -> Evidence:
+        """Return the part of the evidence that `those` [P] names."""
+        return Evidence(self.rgb[those], self.weight[those], self.place[those], self.direct, self.above)
 
 
 def view_of(image: Image, luminance_weights: Floats, sky: Sky | None) -> View:
@@ -95,8 +100,10 @@ def _greatest_irradiance(view: View) -> float:
         ],
         axis=-1,
     ).reshape(-1, 3)
-    cosines = np.maximum(directions @ directions.T, 0.0)
-    return float(4.0 * (cosines @ small.ravel()).max())  # 4π of the sphere over π
+    ways = directions.astype(np.float32)
+    cosines = ways @ ways.T
+    np.maximum(cosines, 0.0, out=cosines)
+    return float(4.0 * (cosines @ small.ravel().astype(np.float32)).max())  # 4π of the sphere over π
 
 
 def greatest_nearby(luminance: Floats, radius: int) -> Floats:
@@ -108,9 +115,9 @@ def greatest_nearby(luminance: Floats, radius: int) -> Floats:
     return np.asarray(grown[:, radius:-radius], np.float64)
 
 
-def _evidence(view: View, weight: Floats, chosen: Bools, *, direct: bool) -> Evidence:
+def _evidence(view: View, weight: Floats, chosen: Bools, *, direct: bool, above: float = np.inf) -> Evidence:
     place = np.flatnonzero(chosen & (view.luminance > 0))
-    return Evidence(view.rgb.reshape(-1, 3)[place], weight.ravel()[place], place, direct)
+    return Evidence(view.rgb.reshape(-1, 3)[place], weight.ravel()[place], place, direct, above)
 
 
 def bright(view: View) -> Evidence:
@@ -123,10 +130,11 @@ def lamps_or_surfaces(view: View) -> Evidence:
     """Lamps seen directly, weighted by their light; where there are none, the locally brightest surfaces."""
     light, luminance = view.light, view.luminance
     nearby = greatest_nearby(luminance, round(GLOW_RADIUS * luminance.shape[1]))
-    lamps = luminance > LAMP_ABOVE_DIFFUSE * _greatest_irradiance(view)
+    above = LAMP_ABOVE_DIFFUSE * _greatest_irradiance(view)
+    lamps = luminance > above
     lamps &= luminance >= GLOW_BELOW * nearby
     if light[lamps].sum() >= MIN_LAMP_LIGHT * light.sum():
-        return _evidence(view, light, lamps, direct=True)
+        return _evidence(view, light, lamps, direct=True, above=above)
     return _surfaces(view)
 
 
