@@ -24,10 +24,10 @@ from uplift.spectrum import Observer, illuminant
 
 Floats = npt.NDArray[np.float64]
 
-REFLECTANCE = 0.007
+REFLECTANCE = 0.015
 DARK = 0.0007
 SENSITIVITY, SENSITIVITY_NM = 0.01, 25.0
-GAIN = 0.01
+GAIN = 0.02
 FALL_OFF = 0.01
 VEIL = 0.002
 
@@ -66,7 +66,9 @@ def reading_of(camera_rgb: npt.ArrayLike, noise: npt.ArrayLike, lamp_rgb: npt.Ar
             "(24, 3) and (3,): the 24 patches of a ColorChecker Classic"
         )
     if not (np.isfinite(values).all() and np.isfinite(errors).all() and np.isfinite(lamp).all()):
-        raise UpliftError("chart reading: a value is not finite; measure the chart again, in an exposure without clipping")
+        raise UpliftError(
+            "chart reading: a value is not finite; measure the chart again, in an exposure without clipping"
+        )
     if lamp.min() <= 0 or values[WHITE].min() <= 0 or errors.min() < 0:
         raise UpliftError(
             f"chart reading: lamp {lamp.tolist()}, white patch {values[WHITE].tolist()}; expected positive raw values and "

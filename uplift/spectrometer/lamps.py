@@ -163,7 +163,7 @@ def _targets(rng: np.random.Generator, count: int, observer: Observer, low_k: fl
 def _uv(spectra: Floats, observer: Observer) -> Floats:
     """CIE 1960 u, v [..., 2] of spectra [..., N]."""
     x, y, z = np.moveaxis(xyz_of(spectra, observer), -1, 0)
-    return np.stack([4 * x, 6 * y], axis=-1) / (x + 15 * y + 3 * z)[..., np.newaxis]
+    return np.asarray(np.stack([4 * x, 6 * y], axis=-1) / (x + 15 * y + 3 * z)[..., np.newaxis])
 
 
 def _white(parts: Floats, targets: Floats, observer: Observer) -> Floats:
@@ -183,7 +183,7 @@ def _share(rng: np.random.Generator, *parts: Floats, concentration: float = 0.7)
 # ---- families ----
 
 
-def _draw_led(rng: np.random.Generator, observer: Observer, known: Floats) -> Floats:
+def _draw_led(rng: np.random.Generator, observer: Observer, _known: Floats) -> Floats:
     nm, s = observer.wavelengths_nm, DRAWN
 
     def normal(mean: float, deviation: float) -> Floats:
@@ -206,7 +206,9 @@ def _draw_led(rng: np.random.Generator, observer: Observer, known: Floats) -> Fl
     white = _white(np.stack([blue, green, red], axis=1), _targets(rng, s, observer, 2000.0, 12000.0), observer)
 
     peaks = [normal(457.0, 9.0), normal(528.0, 12.0), normal(626.0, 10.0)]
-    blue, green, red = (_ohno(nm, at, np.abs(normal(w, 5.0)) + 7) for at, w in zip(peaks, (15.0, 22.0, 12.0), strict=True))
+    blue, green, red = (
+        _ohno(nm, at, np.abs(normal(w, 5.0)) + 7) for at, w in zip(peaks, (15.0, 22.0, 12.0), strict=True)
+    )
     amber = _ohno(nm, normal(592.0, 10.0), np.abs(normal(12.0, 4.0)) + 6)
     lime = _bump(nm, normal(550.0, 12.0), normal(85.0, 8.0), normal(110.0, 8.0))
     few = (rng.random((s, 1)) < 0.5).astype(float)
@@ -250,15 +252,17 @@ def _draw_fluorescent(rng: np.random.Generator, observer: Observer, known: Float
     return np.concatenate([made, _mixed(rng, known, DRAWN // 3)])
 
 
-def _draw_incandescent(rng: np.random.Generator, observer: Observer, known: Floats) -> Floats:
+def _draw_incandescent(rng: np.random.Generator, observer: Observer, _known: Floats) -> Floats:
     nm = observer.wavelengths_nm
     cct = 1e6 / rng.uniform(1e6 / 3500.0, 1e6 / 1500.0, DRAWN // 2)
     filtered = (rng.random((cct.size, 1)) < 0.15).astype(float)
-    glass = np.exp(-filtered * rng.uniform(0.2, 1.4, (cct.size, 1)) * (_neodymium(nm) + 0.05 * _slow(nm, rng, cct.size, 0.5)))
-    return planck(cct, nm) * _slow(nm, rng, cct.size, 0.06) * glass
+    glass = np.exp(
+        -filtered * rng.uniform(0.2, 1.4, (cct.size, 1)) * (_neodymium(nm) + 0.05 * _slow(nm, rng, cct.size, 0.5))
+    )
+    return np.asarray(planck(cct, nm) * _slow(nm, rng, cct.size, 0.06) * glass)
 
 
-def _draw_daylight(rng: np.random.Generator, observer: Observer, known: Floats) -> Floats:
+def _draw_daylight(rng: np.random.Generator, observer: Observer, _known: Floats) -> Floats:
     from uplift.illuminants.daylight import RANGE_K, daylight
     from uplift.illuminants.sunset import RANGE_K as SUNSET_K
     from uplift.illuminants.sunset import sunset
@@ -271,7 +275,7 @@ def _draw_daylight(rng: np.random.Generator, observer: Observer, known: Floats) 
     # A clear sky away from the sun is bluer than any D illuminant: scattering by molecules goes with λ⁻⁴.
     blue = np.where(rng.random(len(chosen)) < 0.3, rng.uniform(0.0, 2.5, len(chosen)), 0.0)
     scattered = (560.0 / observer.wavelengths_nm) ** blue[:, np.newaxis]
-    return chosen * scattered * _slow(observer.wavelengths_nm, rng, len(chosen), 0.05)
+    return np.asarray(chosen * scattered * _slow(observer.wavelengths_nm, rng, len(chosen), 0.05))
 
 
 def _draw_discharge(rng: np.random.Generator, observer: Observer, known: Floats) -> Floats:

@@ -28,10 +28,12 @@ TEMPER = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
-    """`light` [N] non-negative, in the unit of A; `variance` [N]; `weights` [K] of the Gaussians; `families` [5]."""
+    """`light` [N], non-negative, in the unit of A, and its `covariance` [N, N]; `weights` [K] of the Gaussians; `families`
+    [5], the probability of each; `freedom`, how many numbers the reading determined.
+    """
 
     light: Floats
-    variance: Floats
+    covariance: Floats
     weights: Floats
     families: Floats
     freedom: float
@@ -44,7 +46,8 @@ def posterior(m: Floats, A: Floats, covariance: Floats, prior: Prior, *, positiv
     scale = m.mean() / (prior.means @ A.mean(axis=0))
     count, n = prior.means.shape
     evidence = np.empty(count)
-    estimates, spreads, freedoms = np.empty((count, n)), np.empty((count, n)), np.empty(count)
+    estimates, freedoms = np.empty((count, n)), np.empty(count)
+    gains: list[Floats] = []
     for k in range(count):
         mean, C = scale[k] * prior.means[k], scale[k] ** 2 * prior.covariances[k]
         CB = C @ B.T
@@ -54,19 +57,22 @@ def posterior(m: Floats, A: Floats, covariance: Floats, prior: Prior, *, positiv
         gain = np.linalg.solve(L, CB.T)
         evidence[k] = prior.log_share[k] - TEMPER * (0.5 * r @ r + np.log(np.diag(L)).sum())
         estimates[k] = mean + gain.T @ r
-        spreads[k] = np.diag(C) - (gain**2).sum(axis=0)
+        gains.append(gain)
         freedoms[k] = y.size - (np.linalg.inv(L) ** 2).sum()
     weights = np.exp(evidence - evidence.max())
     weights /= weights.sum()
-    families = np.bincount(prior.family, weights, len(FAMILIES))
+    families = np.bincount(prior.family, weights, len(FAMILIES)).astype(np.float64)
     used = np.where(weights >= min(LEAST_WEIGHT, weights.max()), weights, 0.0)
     used /= used.sum()
     if positive:
-        for k in np.flatnonzero(used):
+        for k in np.flatnonzero(used).tolist():
             estimates[k] = _non_negative(y, B, scale[k] * prior.means[k], prior.roots[k] / scale[k])
     light = used @ estimates
-    variance = used @ (np.maximum(spreads, 0.0) + (estimates - light) ** 2)
-    return Posterior(np.maximum(light, 0.0), variance, weights, families, float(used @ freedoms))
+    spread = np.zeros((n, n))
+    for k in np.flatnonzero(used).tolist():
+        off = estimates[k] - light
+        spread += used[k] * (scale[k] ** 2 * prior.covariances[k] - gains[k].T @ gains[k] + np.outer(off, off))
+    return Posterior(np.maximum(light, 0.0), spread, weights, families, float(used @ freedoms))
 
 
 def _non_negative(y: Floats, B: Floats, mean: Floats, root: Floats) -> Floats:
