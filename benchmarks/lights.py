@@ -10,6 +10,7 @@ import argparse
 import json
 import os
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ from uplift.spectrum import Observer, RGBSpace, illuminant, observer, rgb_space
 
 Float64 = npt.NDArray[np.float64]
 
-ALIKE_MIRED, ALIKE_DUV = 25.0, 0.010  # the criterion of the issue at hand: such lamps are one light
+ALIKE_MIRED, ALIKE_DUV = 25.0, 0.010  # nearer lamps count as one light
 SINGLE_K = (1900.0, 6600.0)
 WITHOUT_DATA = "ENVCAL_DATA is not set: times only"
 # Which groups shine and how strongly, ceiling, floor lamps, window.
@@ -70,10 +71,8 @@ def single(context: Context, places: list[Room], every: list[Lamp], *, alternati
     rows = []
     for room in places:
         for lamp in every:
-            for on in ((1.0, 1.0, 0.0),):
-                lights = {g: (lamp, s) for g, s in enumerate(on) if s}
-                scene = lit(room, lights, observer=context.eyes, space=context.space)
-                rows.append(_single_row(scene, lamp, context, alternatives))
+            scene = lit(room, {0: (lamp, 1.0), 1: (lamp, 1.0)}, observer=context.eyes, space=context.space)
+            rows.append(_single_row(scene, lamp, context, alternatives))
     return {"rows": rows}
 
 
@@ -107,12 +106,21 @@ def _single_row(scene: Scene, lamp: Lamp, context: Context, alternatives: bool) 
     if alternatives:
         for family in ("smooth", "led", "fluorescent"):
             row[family] = ratio([_of_family(family, one.cct_seen, eyes) for one in unknown])
+        row["blend"] = ratio([_blend(one.kinds, one.cct_seen, eyes) for one in unknown])
     return row
 
 
 def _of_family(family: str, cct: float, eyes: Observer) -> Float64:
     reached = float(np.clip(cct, FAMILIES[family].low_k, FAMILIES[family].high_k))
     return family_emission(family, reached, eyes)
+
+
+def _blend(kinds: Mapping[str, float], cct: float, eyes: Observer) -> Float64:
+    """Mean of what each kind would have at the CCT, by the kinds' probabilities; smooth for those without a family."""
+    total = np.zeros(eyes.wavelengths_nm.size)
+    for kind, probability in kinds.items():
+        total += probability * _of_family(kind if kind in ("led", "fluorescent") else "smooth", cct, eyes)
+    return total
 
 
 # ---- several lamps ----
@@ -166,7 +174,7 @@ def several_row(scene: Scene, context: Context) -> dict[str, Any]:
     strongest = np.argmax(scene.parts, axis=0)
     right = owner[clusters.labels] == strongest
     found = [bool((np.abs(cct / lamp.cct - 1) < 0.08).any()) for lamp in scene.lamps]
-    row = {
+    return {
         "scene": scene.name,
         "sky": present,
         "lamps": len(scene.lamps),
@@ -178,7 +186,6 @@ def several_row(scene: Scene, context: Context) -> dict[str, Any]:
         "right": float((right * light).sum() / light.sum()),
         "spurious": int(sum(np.nan_to_num(off, nan=9.0).min(axis=1) > 1.5)),
     }
-    return row
 
 
 # ---- under the sky ----
@@ -308,7 +315,7 @@ def _single_report(rows: list[dict[str, Any]]) -> list[str]:
                     f"{'in the library' if own else 'others'}: ratio {np.mean(ratios):.2f} {told} worst {max(ratios):.2f}; "
                     f"with the true spectrum {np.mean([row['true'] for row in those]):.2f}"
                 )
-    for key in ("undeclared", "smooth", "led", "fluorescent", "true"):
+    for key in ("undeclared", "smooth", "led", "fluorescent", "blend", "true"):
         known = [row for row in rows if key in row]
         if known:
             worst = max(known, key=lambda row: row[key])
@@ -344,7 +351,7 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     named = os.environ.get("ENVCAL_DATA")
     figures: dict[str, Any] = {"size": [chosen.size, chosen.size // 2]}
-    figures["times"] = times(*figures["size"], repeat=3 if chosen.only in (None, "times") else 0)
+    figures["times"] = times(chosen.size, chosen.size // 2, repeat=3 if chosen.only in (None, "times") else 0)
     if named is None:
         print(WITHOUT_DATA)
     else:

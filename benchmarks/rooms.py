@@ -81,28 +81,30 @@ def sampled(height: int, width: int, count: int = SAMPLED_PIXELS) -> npt.NDArray
     k = np.arange(count) + 0.5
     row = np.minimum(np.arccos(1 - 2 * k / count) / np.pi * height, height - 1).astype(np.int64)
     column = (k * (np.sqrt(5) - 1) / 2 % 1.0 * width).astype(np.int64)
-    return row * width + column
+    out: npt.NDArray[np.int64] = row * width + column
+    return out
 
 
 def lamps(folder: Path, observer: Observer) -> list[Lamp]:
     """Return the lamps of the figures: LED, fluorescent, incandescent, discharge; of the library and others."""
-    found: list[tuple[str, str, Float64, bool]] = []
-    for name in LED_NAMES:
-        found.append(("led", name, illuminant(name, observer), name.startswith("LED-B") and name != "LED-BH1"))
+    found: list[tuple[str, str, Float64, bool]] = [
+        ("led", name, illuminant(name, observer), name in ("LED-B1", "LED-B2", "LED-B3", "LED-B4", "LED-B5"))
+        for name in LED_NAMES
+    ]
     with (folder / "led19_measured.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.reader(file))
     wavelengths = np.array([float(cell) for cell in rows[0][7:]])
-    for row in rows[1:]:
-        if "CIE LED-B" not in row[3]:
-            found.append(("led", row[3], measured_emission(wavelengths, [float(v) for v in row[7:]], observer), False))
-    for name in FLUORESCENT_NAMES:
-        found.append(
-            ("fluorescent", name, illuminant(name, observer), name in ("FL1", "FL2", "FL3", "FL4", "FL5", "FL6"))
-        )
-    for kelvin in INCANDESCENT_K:
-        found.append(
-            ("incandescent", f"{kelvin} K", normalised(planck(observer.wavelengths_nm, kelvin), observer), True)
-        )
+    found += [
+        ("led", row[3], measured_emission(wavelengths, [float(v) for v in row[7:]], observer), False)
+        for row in rows[1:]
+        if "CIE LED-B" not in row[3]
+    ]
+    halophosphate = tuple(f"FL{i}" for i in range(1, 7))
+    found += [("fluorescent", name, illuminant(name, observer), name in halophosphate) for name in FLUORESCENT_NAMES]
+    found += [
+        ("incandescent", f"{kelvin} K", normalised(planck(observer.wavelengths_nm, kelvin), observer), True)
+        for kelvin in INCANDESCENT_K
+    ]
     found += [("discharge", f"HP{i}", illuminant(f"HP{i}", observer), False) for i in range(1, 6)]
     return [Lamp(kind, name, emission, *cct_duv_of(emission, observer), own) for kind, name, emission, own in found]
 

@@ -37,7 +37,9 @@ Image = npt.NDArray[np.float32]
 # well there, but gives every colour of a patterned carpet another light.
 SURFACE_SPREAD, AROUND_SPREAD = 0.144, 0.102
 AROUND_DEG = 8.0  # σ of the surroundings
-PLACE_WEIGHT = 1.0  # how much the proxy room counts beside colour: 0, 1 and 2 had about the same median, 1 the best worst
+PLACE_WEIGHT = (
+    1.0  # how much the proxy room counts beside colour: 0, 1 and 2 had about the same median, 1 the best worst
+)
 # The proxy room, in metres: 4.6 × 4.6 × 2.6, seen from its middle, 1.4 m above the floor.
 ROOM_DOWN, ROOM_UP, ROOM_SIDE = 1.4, 1.2, 2.3
 NEAREST_M2 = 0.3  # keeps a surface beside a lamp finite: the lamp has a size, and the room is a guess
@@ -148,7 +150,9 @@ def _proxy_room(rows: int, columns: int) -> tuple[Floats, Floats, Floats]:
     level = np.sin(theta)[:, np.newaxis]
     up = np.repeat(np.cos(theta)[:, np.newaxis], columns, axis=1)
     ways = np.stack([level * np.sin(phi), up, -level * np.cos(phi)], axis=-1).reshape(-1, 3)
-    reach = np.stack([np.full(len(ways), ROOM_SIDE), np.where(ways[:, 1] > 0, ROOM_UP, ROOM_DOWN), np.full(len(ways), ROOM_SIDE)], 1)
+    reach = np.stack(
+        [np.full(len(ways), ROOM_SIDE), np.where(ways[:, 1] > 0, ROOM_UP, ROOM_DOWN), np.full(len(ways), ROOM_SIDE)], 1
+    )
     until = reach / np.maximum(np.abs(ways), 1e-9)
     wall = np.argmin(until, axis=1)
     distance = until[np.arange(len(ways)), wall]

@@ -30,7 +30,9 @@ class Clusters:
 
     labels: npt.NDArray[np.uint32]  # [H, W], 0 … count − 1; pixels without a colour (black, NaN) are 0
     second: npt.NDArray[np.uint32]  # [H, W] the light that has most of what is left; = labels where there is none
-    weight: Image  # [H, W] share of `labels` in what both lights give to the pixel, 0.5 … 1; 1 − weight is that of `second`
+    weight: (
+        Image  # [H, W] share of `labels` in what both lights give to the pixel, 0.5 … 1; 1 − weight is that of `second`
+    )
     count: int
     means: Floats  # [k, 3] mean RGB of the cluster's pixels, by solid angle (the paper's colour)
     brightest: Floats  # [k, 3] RGB of its brightest pixel of the working map (the paper's outdoor colour)
@@ -39,6 +41,7 @@ class Clusters:
     lamps: Floats
     direct: Bools  # [k] whether `lamps` rests on a lamp seen directly (else on the brightest surfaces)
     spread_mired: Floats  # [k] robust standard deviation of that evidence, in mired; NaN where not measurable
+    spread_duv: Floats  # [k] the same of its Duv
     outdoor: Bools  # [k] whether the cluster holds the sky
     share: Floats  # [k] of luminance · solid angle of the whole map; sums to 1
     at: Floats  # [k, 2] (u, v) of the cluster's brightest region, 0…1 from the top left of the map
@@ -57,6 +60,7 @@ def nothing(image: Image, warning: str) -> Clusters:
         lamps=zero,
         direct=np.array([False]),
         spread_mired=np.array([np.nan]),
+        spread_duv=np.array([np.nan]),
         outdoor=np.array([False]),
         share=np.array([1.0]),
         at=np.array([[0.5, 0.5]]),
@@ -157,7 +161,7 @@ class _Described:
     brightest: Floats
     lamp: Floats
     direct: bool
-    spread: float
+    spread: tuple[float, float]  # mired, Duv
     at: tuple[float, float]
 
 
@@ -171,7 +175,7 @@ def _one(view: View, mine: Bools, colours: Floats, weight: Floats, direct: bool,
         brightest=view.rgb[mine][np.argmax(view.luminance[mine])],
         lamp=lamp_colour(colours, weight),
         direct=direct,
-        spread=_spread_mired(colours, weight, xyz_from_rgb),
+        spread=_spreads(colours, weight, xyz_from_rgb),
         at=((place % width + 0.5) / width, (place // width + 0.5) / height),
     )
 
@@ -189,7 +193,8 @@ def _record(view: View, rows: list[_Described], share: Floats, own: Members, out
         brightest=np.stack([row.brightest for row in rows]),
         lamps=lamps,
         direct=np.array([row.direct for row in rows]),
-        spread_mired=np.array([row.spread for row in rows]),
+        spread_mired=np.array([row.spread[0] for row in rows]),
+        spread_duv=np.array([row.spread[1] for row in rows]),
         outdoor=outdoor,
         share=share,
         at=np.array([row.at for row in rows]),
@@ -208,13 +213,15 @@ def _brightest_region(luminance: Floats, mine: Bools) -> int:
     return int(np.argmax(np.where(mine, own, -1.0)))
 
 
-def _spread_mired(colours: Floats, weight: Floats, xyz_from_rgb: Floats) -> float:
-    """Robust standard deviation of the colours' mired, NaN where fewer than half of the weight has a CCT."""
+def _spreads(colours: Floats, weight: Floats, xyz_from_rgb: Floats) -> tuple[float, float]:
+    """Robust standard deviations of the colours' mired and Duv, NaN where fewer than half of the weight has a CCT."""
     points, share = histogram(colours / colours.sum(axis=1, keepdims=True), colours, weight)
-    cct, _ = cct_duv(xy_of_rgb(points, xyz_from_rgb))
+    cct, duv = cct_duv(xy_of_rgb(points, xyz_from_rgb))
     known = np.isfinite(cct)
     if share[known].sum() < 0.5:
-        return float("nan")
-    steps = mired(cct[known])
-    middle = weighted_median(steps, share[known])
-    return 1.4826 * weighted_median(np.abs(steps - middle), share[known])
+        return float("nan"), float("nan")
+    found = []
+    for values in (mired(cct[known]), duv[known]):
+        middle = weighted_median(values, share[known])
+        found.append(1.4826 * weighted_median(np.abs(values - middle), share[known]))
+    return found[0], found[1]
