@@ -550,11 +550,11 @@ def _resolve(path: Path, tree: Any, settings: Pipeline) -> Loaded:
             )
         lights.append(rooted)
     mistakes += _camera_mistakes(path, tree, settings.balance.camera, folder)
-    for number, name in enumerate(settings.cluster.profiles):
-        if not (folder / name).is_file():
+    for number, further in enumerate(settings.cluster.profiles):
+        if not (folder / further).is_file():
             line = _line(tree, ("cluster", "profiles", number))
             mistakes.append(
-                f"{path}:{line}: cluster.profiles.{number}: there is no file {folder / name}. Correct the path."
+                f"{path}:{line}: cluster.profiles.{number}: there is no file {folder / further}. Correct the path."
             )
     if mistakes:
         raise EnvcalError("\n".join(mistakes))
