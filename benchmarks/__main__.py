@@ -9,6 +9,7 @@ BENCHMARKS = {
     "uplift": "speed and memory of every uplift, with ratios to a plain loop and to the lattice",
     "lights": "which lights are found in rooms and skies, and what their spectra are worth",
     "roundtrip": "how exactly RGB comes back, over maps and lamps of all families",
+    "spectrometer": "spectra and kinds of lamps as the chart measures them",
 }
 
 
