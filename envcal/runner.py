@@ -60,7 +60,8 @@ class Stage:
     """A row of the table: what the stage reads, writes and depends on.
 
     `inputs` and `outputs` are names below the output folder; `{shot}` stands for every shot, `{map}` for the shots
-    of the environment, `{frames}` for all RAW frames and `{spectra}` for measured spectra that the settings name.
+    of the environment, `{frames}` for all RAW frames, `{spectra}` for measured spectra and further profiles that the
+    settings name, `{camera}` for the file of the camera's sensitivities.
     `settings` names the parts of the settings on which the result depends.
     """
 
