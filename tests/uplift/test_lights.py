@@ -43,7 +43,8 @@ def test_an_undeclared_indoor_light_is_unknown_smooth_and_says_what_would_help()
         assert light.confidence < 0.5
         assert "type" in light.remedy
         np.testing.assert_allclose(light.emission, family_emission("smooth", light.cct, OBSERVER), rtol=1e-6)
-    assert warm(lights).cct == pytest.approx(2855.5, rel=LAMP_CCT)
+    assert warm(lights).cct_seen == pytest.approx(2855.5, rel=LAMP_CCT)
+    assert warm(lights).cct == pytest.approx(2 / (1 / 2855.5 + 1 / 6503.0), rel=LAMP_CCT)  # half-way to D65 in mired
     assert cool(lights).cct == pytest.approx(6503.0, rel=LAMP_CCT)
 
 
