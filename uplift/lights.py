@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uplift import UpliftError
-from uplift.cct import MAX_DUV, mccamy, nearest_cct, xy_of_rgb
+from uplift.cct import MAX_DUV, cct_duv, mccamy, nearest_cct, xy_of_rgb
 from uplift.cluster import Clusters
 from uplift.illuminants import FAMILIES, Family, cct_duv_of
 from uplift.illuminants.fluorescent import NAMES as FLUORESCENT_NAMES
@@ -169,7 +169,15 @@ def lights_of(
         seen = _seen(clusters, cluster, space, estimator, calibration)
         kinds = _kinds(seen, bool(clusters.outdoor[cluster]), observer)
         light, more = _light(
-            clusters, cluster, known.get(cluster), seen, kinds, indoor=indoor, observer=observer, families=families
+            clusters,
+            cluster,
+            known.get(cluster),
+            seen,
+            kinds,
+            indoor=indoor,
+            estimator=estimator,
+            observer=observer,
+            families=families,
         )
         lights.append(light)
         warnings += more
@@ -261,6 +269,7 @@ def _light(
     kinds: Mapping[str, float],
     *,
     indoor: str,
+    estimator: str,
     observer: Observer,
     families: Mapping[str, Family],
 ) -> tuple[Light, list[str]]:
@@ -280,6 +289,10 @@ def _light(
         )
     if declared is not None and declared.cct is not None:
         wanted = declared.cct
+    if declared is None and estimator == "lamps" and np.isfinite(colour.sun) and np.isfinite(seen):
+        # What the sun lights has its spectrum, what it does not the sky's: the paper's mean of both serves either. Under a sun
+        # 2 degrees high it brought the error from 1.18 to 1.0 times that of the best single CCT.
+        wanted = (seen + colour.sun) / 2.0
     kind = _kind(declared, indoor, outdoor, wanted)
     if declared is None and kind == "smooth":
         neutral = cct_duv_of(illuminant("D65", observer), observer)[0]
@@ -337,6 +350,7 @@ class Seen:
     duv: float
     cct_sigma: float  # K
     duv_sigma: float
+    sun: float  # K, of the brightest place of an outdoor light; NaN otherwise
     trusted: bool  # seen directly, or outdoors; not told by surfaces
 
 
@@ -350,6 +364,9 @@ def _seen(clusters: Clusters, cluster: int, space: RGBSpace, estimator: str, cal
         duv = nearest_cct(mean)[1]
     else:
         cct, duv = nearest_cct(xy_of_rgb(clusters.lamps[cluster], space.xyz_from_rgb))
+    sun = float("nan")
+    if outdoor:
+        sun = float(cct_duv(xy_of_rgb(clusters.brightest[cluster], space.xyz_from_rgb))[0])
     spread = float(clusters.spread_mired[cluster])
     error = CCT_ERROR_DIRECT if direct else CCT_ERROR_SURFACES
     of_spread = 0.0 if not np.isfinite(spread) else spread * cct**2 / 1e6
@@ -359,7 +376,7 @@ def _seen(clusters: Clusters, cluster: int, space: RGBSpace, estimator: str, cal
         error, of_spread, across = CCT_ERROR_OUTDOOR, 0.0, 0.0
     sigma = float(np.sqrt((error * cct) ** 2 + of_spread**2 + (calibration * cct) ** 2))
     duv_sigma = float(np.hypot(DUV_ERROR_DIRECT if direct or outdoor else DUV_ERROR_SURFACES, across))
-    return Seen(cct, duv, sigma, duv_sigma, direct or outdoor or estimator == "paper")
+    return Seen(cct, duv, sigma, duv_sigma, sun, direct or outdoor or estimator == "paper")
 
 
 def _kinds(seen: Seen, outdoor: bool, observer: Observer) -> dict[str, float]:
