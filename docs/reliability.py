@@ -9,9 +9,9 @@ from pathlib import Path
 
 def main(figures: Path, picture: Path) -> None:
     """Plot how often the most probable family was right over how probable it was said to be."""
-    import matplotlib
+    import matplotlib as mpl
 
-    matplotlib.use("Agg")
+    mpl.use("Agg")
     import matplotlib.pyplot as plt
 
     found = json.loads(figures.read_text(encoding="utf-8"))
