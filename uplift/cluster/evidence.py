@@ -33,12 +33,8 @@ class View:
     rgb: Floats  # [h, w, 3]
     luminance: Floats  # [h, w]
     solid_angle: Floats  # [h, w], as a share of the sphere
+    light: Floats  # [h, w] luminance times solid angle
     sky: Bools | None  # [h, w]; None: there is none
-
-    @property
-    def light(self) -> Floats:
-        """Luminance times solid angle, [h, w]."""
-        return self.luminance * self.solid_angle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +69,8 @@ def view_of(image: Image, luminance_weights: Floats, sky: Sky | None) -> View:
     edges = np.cos(np.pi * np.arange(len(rgb) + 1) / len(rgb))
     rows = (edges[:-1] - edges[1:]) / (2.0 * rgb.shape[1])
     solid_angle = np.repeat(rows[:, np.newaxis], rgb.shape[1], axis=1)
-    return View(rgb, np.maximum(rgb @ luminance_weights, 0.0), solid_angle, mask)
+    luminance = np.maximum(rgb @ luminance_weights, 0.0)
+    return View(rgb, luminance, solid_angle, luminance * solid_angle, mask)
 
 
 def daylight(view: View) -> Floats:

@@ -170,9 +170,11 @@ def _one(view: View, mine: Bools, colours: Floats, weight: Floats, direct: bool,
     place = _brightest_region(view.luminance, mine)
     if not len(colours):  # a cluster of the paper's metric may hold dark pixels only
         colours, weight, direct = view.rgb[mine], view.light[mine], False
+    inside = np.flatnonzero(mine)
+    rgb, solid_angle = view.rgb.reshape(-1, 3)[inside], view.solid_angle.ravel()[inside]
     return _Described(
-        mean=np.average(view.rgb[mine], axis=0, weights=view.solid_angle[mine]),
-        brightest=view.rgb[mine][np.argmax(view.luminance[mine])],
+        mean=solid_angle @ rgb / solid_angle.sum(),
+        brightest=rgb[np.argmax(view.luminance.ravel()[inside])],
         lamp=lamp_colour(colours, weight),
         direct=direct,
         spread=_spreads(colours, weight, xyz_from_rgb),
