@@ -99,6 +99,11 @@ _space = click.option(
     help="Linear RGB space of the map, where its header does not say (default: sRGB).",
 )
 _indoor = click.option("--indoor", type=click.Choice(INDOOR), default="auto", help="What undeclared indoor lights are.")
+_library = click.option(
+    "--library",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Folder of your own measured spectra.",
+)
 _lights = click.option("--lights", "lights_path", type=FILE, help="lights.yaml: what is known of the lights.")
 
 
@@ -234,8 +239,15 @@ def _corners(text: str) -> Any:
 @_output("balanced radiance (.exr)")
 @_profile
 @click.option("--lamp", metavar="X,Y,W,H", help="The lamp's rectangle in pixels instead of a search.")
+@click.option(
+    "--camera",
+    metavar="NAME|FILE",
+    help="The camera's spectral sensitivities (CSV, or JSON as of rawtoaces), to measure the chart's light with.",
+)
 @_json
-def balance(corrected: Path, out: Path, profile: Path | None, lamp: str | None, as_json: bool) -> None:
+def balance(
+    corrected: Path, out: Path, profile: Path | None, lamp: str | None, camera: str | None, as_json: bool
+) -> None:
     """Find the D65 lamp in CORRECTED and balance the colours by it, or apply a profile.
 
     The profile completed here is written beside the output, as OUT.profile.json.
@@ -245,9 +257,13 @@ def balance(corrected: Path, out: Path, profile: Path | None, lamp: str | None, 
     from envcal.steps.balance import balance as work
     from envcal.steps.balance import calibrate_on_lamp
 
-    if profile is not None and lamp is not None:
-        raise click.UsageError("--lamp belongs to the search for the lamp; a profile brings its own gains.")
-    settings = BalanceSettings() if lamp is None else BalanceSettings(lamp=LampRectangle(rectangle=_rectangle(lamp)))
+    if profile is not None and (lamp is not None or camera is not None):
+        raise click.UsageError(
+            "--lamp and --camera belong to the search for the lamp; a profile brings its own gains and its chart's light."
+        )
+    settings = BalanceSettings(
+        lamp="auto" if lamp is None else LampRectangle(rectangle=_rectangle(lamp)), camera=camera
+    )
     if profile is None:
         found = calibrate_on_lamp(corrected, settings)
         found.write(out.with_suffix(".profile.json"))
@@ -283,15 +299,24 @@ def panorama(shots: Sequence[Path], out: Path, as_json: bool) -> None:
     _finish(work(shots, out, PanoramaSettings()), as_json=as_json, out=out)
 
 
-def _declared(path: Path | None) -> Sequence[DeclaredLight]:
+def _declared(path: Path | None, library: Path | None) -> Sequence[DeclaredLight]:
     from envcal.config import load_lights
 
-    return () if path is None else load_lights(path)
+    return () if path is None else load_lights(path, library)
 
 
 def _find_lights(
-    source: Path, out: Path, lights_out: Path, *, indoor: str, lights_path: Path | None, space: str | None
+    source: Path,
+    out: Path,
+    lights_out: Path,
+    *,
+    profile_paths: Sequence[Path] = (),
+    indoor: str,
+    lights_path: Path | None,
+    space: str | None,
+    library: Path | None,
 ) -> Outcome:
+    from envcal import profile as profiles
     from envcal.config import ClusterSettings, Pipeline
     from envcal.maps import read_map
     from envcal.steps.cluster import cluster as work
@@ -301,10 +326,11 @@ def _find_lights(
         read_map(source, space=space),
         out,
         lights_out,
-        ClusterSettings.model_validate({"indoor": indoor}),
-        declared=_declared(lights_path),
+        ClusterSettings.model_validate({"indoor": indoor, "library": library}),
+        declared=_declared(lights_path, library),
         wavelengths=defaults["wavelengths"].default,
         observer_name=defaults["observer"].default,
+        profiles={str(path): profiles.read(path) for path in profile_paths},
     )
 
 
@@ -313,15 +339,41 @@ def _find_lights(
 @_output("clusters (.exr)")
 @_indoor
 @_lights
+@_library
+@click.option(
+    "--profile",
+    "profile_paths",
+    type=FILE,
+    multiple=True,
+    help="Profile of a chart shot in this place: its light's measured spectrum is used. May be given several times.",
+)
 @_space
 @_json
-def cluster(map_path: Path, out: Path, indoor: str, lights_path: Path | None, space: str | None, as_json: bool) -> None:
+def cluster(
+    map_path: Path,
+    out: Path,
+    indoor: str,
+    lights_path: Path | None,
+    library: Path | None,
+    profile_paths: Sequence[Path],
+    space: str | None,
+    as_json: bool,
+) -> None:
     """Find sky, lights and their colour temperatures in MAP (.exr or .hdr, lat-long).
 
     The lights are also written beside the output, as OUT.lights.json.
     """
     lights_out = out.with_suffix(".lights.json")
-    outcome = _find_lights(map_path, out, lights_out, indoor=indoor, lights_path=lights_path, space=space)
+    outcome = _find_lights(
+        map_path,
+        out,
+        lights_out,
+        profile_paths=profile_paths,
+        indoor=indoor,
+        lights_path=lights_path,
+        space=space,
+        library=library,
+    )
     _finish(outcome, as_json=as_json, out=out)
 
 
@@ -331,6 +383,7 @@ def cluster(map_path: Path, out: Path, indoor: str, lights_path: Path | None, sp
 @click.option("--clusters", type=FILE, help="What `envcal cluster` found in this map; left out: it is done here.")
 @_indoor
 @_lights
+@_library
 @click.option(
     "--method",
     type=click.Choice(["constrained", "scaled", "lattice"]),
@@ -346,6 +399,7 @@ def uplift(
     clusters: Path | None,
     indoor: str,
     lights_path: Path | None,
+    library: Path | None,
     method: str,
     space: str | None,
     as_json: bool,
@@ -359,15 +413,23 @@ def uplift(
     from envcal.reporter import Reporter
     from envcal.steps.uplift import uplift as work
 
-    if clusters is not None and (indoor != "auto" or lights_path is not None):
-        raise click.UsageError("--indoor and --lights belong to the search for lights; give them to `envcal cluster`.")
+    if clusters is not None and (indoor != "auto" or lights_path is not None or library is not None):
+        raise click.UsageError(
+            "--indoor, --lights and --library belong to the search for lights; give them to `envcal cluster`."
+        )
     settings = UpliftSettings.model_validate({"method": method})
     more: list[str] = []
     with tempfile.TemporaryDirectory() as folder, Reporter().progress("uplift") as progress:
         if clusters is None:
             clusters = Path(folder) / "clusters.exr"
             found = _find_lights(
-                map_path, clusters, Path(folder) / "lights.json", indoor=indoor, lights_path=lights_path, space=space
+                map_path,
+                clusters,
+                Path(folder) / "lights.json",
+                indoor=indoor,
+                lights_path=lights_path,
+                space=space,
+                library=library,
             )
             more = [*found.warnings]
             if not as_json:

@@ -165,6 +165,9 @@ class BalanceSettings(Settings):
     luminance: Literal["lamp", "keep"] = "lamp"
     """`lamp`: the lamp reads exactly as D65 of luminance 1, which is (1, 1, 1) where the working space's white is D65.
     `keep`: only its colour becomes that of D65; 1 stays a white diffuser at the chart."""
+    camera: str | None = None
+    """The camera's spectral sensitivities, with which the chart measures its light's spectrum: a file (CSV, or JSON as of
+    rawtoaces) or a name that colour-science knows. Left out: unknown, and fitted together with the light."""
 
 
 class PanoramaSettings(Settings):
@@ -182,7 +185,8 @@ class DeclaredLight(Settings):
     cct: Annotated[float, Field(ge=500, le=200_000)] | None = None
     """Correlated colour temperature in kelvin. Left out: taken from the map."""
     spd: Path | None = None
-    """CSV of the measured spectrum: wavelength in nm, value; one line each."""
+    """Measured spectrum: text of wavelength in nm and value, one line each, or IES TM-27 (`.spdx`); a path, or the name
+    of a file in `cluster.library`."""
     name: str = ""
     """A name for the report."""
 
@@ -206,8 +210,16 @@ class ClusterSettings(Settings):
     estimator: Literal["lamps", "paper"] = "lamps"
     """How clusters and their colour temperatures are found: from the lamps seen directly where they are, or as in the
     paper from all bright pixels and the cluster's mean."""
+    library: Path | None = None
+    """Folder of measured spectra of your own; a light's `spd` may name one of its files."""
+    sky_model: Path | None = None
+    """Data file of the Prague sky model (`.dat`); low suns then get the spectra of its skies, not the sun's beam."""
     lights: list[DeclaredLight] = []
     """What is known of the lights."""
+    chart_spectrum: Literal["auto", "off"] = "auto"
+    """`auto`: a light of the chart's colour gets the spectrum that the chart measured, if it could be. `off`: none does."""
+    profiles: list[Path] = []
+    """Profiles of further chart shots, each under another light of the place (`envcal correct`, then `envcal balance`)."""
 
 
 class UpliftSettings(Settings):
@@ -280,6 +292,11 @@ class Loaded:
     lights: tuple[DeclaredLight, ...]
 
     @property
+    def folder(self) -> Path:
+        """The folder of the file, from which its relative paths start."""
+        return self.path.resolve().parent
+
+    @property
     def shots(self) -> dict[str, tuple[Path, ...]]:
         """Shot name → frames, the reference first."""
         return {"reference": self.reference, **self.environments}
@@ -308,7 +325,7 @@ def load(path: Path, *, overrides: Sequence[str] = ()) -> Loaded:
     return _resolve(path, tree, settings)
 
 
-def load_lights(path: Path) -> tuple[DeclaredLight, ...]:
+def load_lights(path: Path, library: Path | None = None) -> tuple[DeclaredLight, ...]:
     """Read a `lights.yaml`: `lights: [...]`, as under `cluster` in a pipeline file."""
 
     class Lights(Settings):
@@ -319,11 +336,15 @@ def load_lights(path: Path) -> tuple[DeclaredLight, ...]:
         found = Lights.model_validate(_plain(tree) if isinstance(tree, dict) else {})
     except ValidationError as error:
         raise EnvcalError("\n".join(_mistakes(path, tree, error, {}, model=Lights))) from None
-    return tuple(_rooted(light, path.parent) for light in found.lights)
+    return tuple(_rooted(light, path.parent, library) for light in found.lights)
 
 
-def _rooted(light: DeclaredLight, folder: Path) -> DeclaredLight:
-    return light if light.spd is None else light.model_copy(update={"spd": folder / light.spd})
+def _rooted(light: DeclaredLight, folder: Path, library: Path | None) -> DeclaredLight:
+    from envcal.spd import resolved
+
+    if light.spd is None:
+        return light
+    return light.model_copy(update={"spd": resolved(folder / light.spd, library)})
 
 
 def _read_yaml(path: Path) -> Any:
@@ -529,18 +550,52 @@ def _resolve(path: Path, tree: Any, settings: Pipeline) -> Loaded:
             environments[name] = frames(patterns, ("capture", "environment", name))
     elif capture.environment is not None:
         environments["environment"] = frames(capture.environment, ("capture", "environment"))
+    owned: dict[str, Path] = {}
+    for name in ("library", "sky_model"):
+        value = getattr(settings.cluster, name)
+        if value is None:
+            continue
+        owned[name] = folder / value
+        if not (owned[name].is_dir() if name == "library" else owned[name].is_file()):
+            what = "folder" if name == "library" else "file"
+            mistakes.append(
+                f"{path}:{_line(tree, ('cluster', name))}: cluster.{name}: there is no {what} {owned[name]}. Correct the path."
+            )
+            del owned[name]
+    library = owned.get("library")
+    settings = settings.model_copy(update={"cluster": settings.cluster.model_copy(update=dict(owned))})
     lights = []
     for number, light in enumerate(settings.cluster.lights):
-        rooted = _rooted(light, folder)
+        rooted = _rooted(light, folder, library)
         if rooted.spd is not None and not rooted.spd.is_file():
             line = _line(tree, ("cluster", "lights", number, "spd"))
             mistakes.append(
                 f"{path}:{line}: cluster.lights.{number}.spd: there is no file {rooted.spd}. Correct the path."
             )
         lights.append(rooted)
+    mistakes += _camera_mistakes(path, tree, settings.balance.camera, folder)
+    for number, further in enumerate(settings.cluster.profiles):
+        if not (folder / further).is_file():
+            line = _line(tree, ("cluster", "profiles", number))
+            mistakes.append(
+                f"{path}:{line}: cluster.profiles.{number}: there is no file {folder / further}. Correct the path."
+            )
     if mistakes:
         raise EnvcalError("\n".join(mistakes))
     return Loaded(path, settings, folder / settings.output, reference, environments, tuple(lights))
+
+
+def _camera_mistakes(path: Path, tree: Any, camera: str | None, folder: Path) -> list[str]:
+    if camera is None or (folder / camera).is_file():
+        return []
+    from envcal.cameras import is_known, known_cameras
+
+    if is_known(camera):
+        return []
+    return [
+        f"{path}:{_line(tree, ('balance', 'camera'))}: balance.camera: {camera!r} is neither a file in {folder} nor a camera known "
+        f"by name ({', '.join(known_cameras())}). Correct it, or leave it out."
+    ]
 
 
 def _matches(folder: Path, pattern: str) -> list[Path]:

@@ -32,6 +32,8 @@ class LightRecord(_Part):
     cct_sigma: float | None
     """Standard deviation of `cct_seen`, from the spread of the evidence."""
     duv_seen: float | None
+    duv_sigma: float | None = None
+    """Standard deviation of `duv_seen`."""
     outdoor: bool
     share: float
     """Of the map's luminance × solid angle."""
@@ -41,6 +43,8 @@ class LightRecord(_Part):
     """How the spectrum was found."""
     confidence: float
     declared: bool
+    kinds: dict[str, float] = Field(default_factory=dict, max_length=16)
+    """Probability of each kind of lamp, from sky and colour, or from a chart; it sums to 1."""
     remedy: str
     """What a person could do to make it surer."""
     emission: list[float]
@@ -76,6 +80,8 @@ def record(light: Light) -> LightRecord:
         duv=finite(light.duv),
         cct_seen=finite(light.cct_seen),
         duv_seen=finite(light.duv_seen),
+        duv_sigma=finite(light.duv_sigma),
+        kinds={kind: float(value) for kind, value in light.kinds.items()},
         outdoor=light.outdoor,
         share=light.share,
         at=light.at,

@@ -85,10 +85,41 @@ class Lamp(_Part):
     """Gains along the axes of the cone space."""
 
 
+class ChartLight(_Part):
+    """The light on the chart, as the chart measured it."""
+
+    camera: str
+    """Whose sensitivities were used; empty: unknown, fitted together with the light."""
+    camera_loss: float
+    """How many times larger the standard deviation is for not knowing the camera."""
+    wavelengths_nm: list[float]
+    emission: list[float]
+    """Relative spectral power, Y = 1."""
+    sigma: list[float]
+    """Standard deviation of `emission`."""
+    cct: float | None
+    """Kelvin."""
+    duv: float | None
+    cct_sigma: float
+    duv_sigma: float
+    families: dict[str, float]
+    """Probability of each family of lamps."""
+    chi2: float
+    """Misfit of the patches per degree of freedom."""
+    refused: str
+    """Why it must not be used; empty: it may."""
+
+    @property
+    def family(self) -> str:
+        """The most probable family."""
+        return max(self.families, key=lambda name: self.families[name])
+
+
 class Profile(_Part):
     """Camera RGB → working RGB, and how it was found."""
 
-    format: Literal[1] = 1
+    format: Literal[1, 2] = 2
+    """2 may hold `light`; 1 is read too."""
     envcal: str = __version__
     working_space: str
     camera: Camera
@@ -102,6 +133,8 @@ class Profile(_Part):
     lamp: Lamp | None = None
     balance_matrix: Matrix | None = None
     """Balanced working RGB from working RGB; (1, 1, 1) is the lamp."""
+    light: ChartLight | None = None
+    """The light on the chart; null if it was not measured."""
     warnings: list[str] = Field(default_factory=list)
 
     def delta_e(self) -> dict[str, float]:

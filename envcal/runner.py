@@ -21,6 +21,7 @@ from envcal import __version__, atomic
 from envcal.config import Loaded
 from envcal.errors import EnvcalError
 from envcal.reporter import Reporter
+from envcal.spd import in_library
 
 RECORD = "run.json"
 
@@ -59,7 +60,8 @@ class Stage:
     """A row of the table: what the stage reads, writes and depends on.
 
     `inputs` and `outputs` are names below the output folder; `{shot}` stands for every shot, `{map}` for the shots
-    of the environment, `{frames}` for all RAW frames and `{spectra}` for measured spectra that the settings name.
+    of the environment, `{frames}` for all RAW frames, `{spectra}` for measured spectra and further profiles that the
+    settings name, `{camera}` for the file of the camera's sensitivities.
     `settings` names the parts of the settings on which the result depends.
     """
 
@@ -79,6 +81,13 @@ def expand(names: Sequence[str], run: Run) -> list[Path]:
             paths += [frame for frames in loaded.shots.values() for frame in frames]
         elif name == "{spectra}":
             paths += [light.spd for light in loaded.lights if light.spd is not None]
+            library, sky_model = loaded.settings.cluster.library, loaded.settings.cluster.sky_model
+            paths += [] if library is None else in_library(library)
+            paths += [] if sky_model is None else [sky_model]
+            paths += [loaded.folder / name for name in loaded.settings.cluster.profiles]
+        elif name == "{camera}":
+            camera = loaded.settings.balance.camera
+            paths += [] if camera is None or not (loaded.folder / camera).is_file() else [loaded.folder / camera]
         elif "{shot}" in name:
             paths += [run.path(name.format(shot=shot)) for shot in loaded.shots]
         elif "{map}" in name:

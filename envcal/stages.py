@@ -38,7 +38,7 @@ def _balance(run: Run) -> Outcome:
     from envcal.steps.balance import balance, calibrate_on_lamp
 
     settings = run.loaded.settings.balance
-    profile = calibrate_on_lamp(run.path("correct/reference.exr"), settings)
+    profile = calibrate_on_lamp(run.path("correct/reference.exr"), settings, run.loaded.folder)
     profile.write(run.path("balance/profile.json"))
     outcome = _each(
         run,
@@ -56,10 +56,13 @@ def _panorama(run: Run) -> Outcome:
 
 
 def _cluster(run: Run) -> Outcome:
+    from envcal import profile
     from envcal.maps import read_map
-    from envcal.steps.cluster import cluster
+    from envcal.steps.cluster import calibration_error, cluster
 
     settings = run.loaded.settings
+    reference = profile.read(run.path("balance/profile.json"))
+    further = {str(name): profile.read(run.loaded.folder / name) for name in settings.cluster.profiles}
     return cluster(
         read_map(run.path("panorama/environment.exr")),
         run.path("cluster/clusters.exr"),
@@ -68,6 +71,8 @@ def _cluster(run: Run) -> Outcome:
         declared=run.loaded.lights,
         wavelengths=settings.wavelengths,
         observer_name=settings.observer,
+        calibration=calibration_error(reference),
+        profiles={"the reference": reference, **further},
     )
 
 
@@ -125,7 +130,7 @@ STAGES: tuple[Stage, ...] = (
         name="balance",
         light="lamp of known spectrum found in the reference shot → von Kries, applied to every shot",
         settings=("balance",),
-        inputs=("correct/{shot}.exr",),
+        inputs=("correct/{shot}.exr", "{camera}"),
         outputs=("balance/{shot}.exr", "balance/profile.json"),
         work=_balance,
     ),
@@ -141,7 +146,7 @@ STAGES: tuple[Stage, ...] = (
         name="cluster",
         light="map → sky, clusters, CCT, light spectra",
         settings=("cluster", "wavelengths", "observer"),
-        inputs=("panorama/environment.exr", "{spectra}"),
+        inputs=("panorama/environment.exr", "balance/profile.json", "{spectra}"),
         outputs=("cluster/clusters.exr", "cluster/lights.json"),
         work=_cluster,
     ),

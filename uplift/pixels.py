@@ -102,7 +102,9 @@ def fallback_emissions(observer: Observer) -> Float64:
 
 
 @cache
-def fallback_tables(observer: Observer, space: RGBSpace, nodes: int = 64, factor: float = BRIGHTNESS) -> tuple[Table, ...]:
+def fallback_tables(
+    observer: Observer, space: RGBSpace, nodes: int = 64, factor: float = BRIGHTNESS
+) -> tuple[Table, ...]:
     """Return the tables of `fallback_emissions`, kept for the next call."""
     # Their fans matter, not their nodes.
     return tuple(

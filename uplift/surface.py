@@ -63,9 +63,9 @@ def grades_of(
     _tried(weights, t, nodes, solved, surface, flat, curvature, asked, shown)
     difference = delta_e_2000(asked @ rgb_from_axes.T, shown @ rgb_from_axes.T, space, white=None)
     usable = np.isfinite(curvature)
-    # Twice and thrice: the worst point of a cell was not among those tried.
+    # Twice and four times: the worst point of a cell was not among those tried.
     linear_enough = usable & (difference[..., 0] * 2 <= PREVIEW_DELTA_E)
-    cubic_enough = usable & (difference[..., 1] * 3 <= FLOAT_DELTA_E)
+    cubic_enough = usable & (difference[..., 1] * 4 <= FLOAT_DELTA_E)
     return (usable * USABLE + linear_enough * LINEAR + cubic_enough * CUBIC).astype(np.uint8), curvature
 
 

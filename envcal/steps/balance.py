@@ -12,10 +12,14 @@ from envcal.config import BalanceSettings, LampOnChart, LampRectangle
 from envcal.errors import EnvcalError
 from envcal.profile import Camera, Lamp, Profile, matrix_rows, mismatches, parse, row
 from envcal.runner import Outcome
+from envcal.steps import chart_light
 
 
-def calibrate_on_lamp(corrected: Path, settings: BalanceSettings) -> Profile:
-    """Find the D65 lamp in a corrected reference shot and return its profile, completed."""
+def calibrate_on_lamp(corrected: Path, settings: BalanceSettings, folder: Path = Path()) -> Profile:
+    """Find the D65 lamp in a corrected reference shot and return its profile, completed with the chart's light.
+
+    A file named by `settings.camera` is looked for in `folder`.
+    """
     from calibrate.adapt import cone_matrix, von_kries_matrix
     from calibrate.lamp import find_lamp, measure_lamp, rectangle_from_chart
     from uplift.spectrum import illuminant, observer, rgb_space, xyz_of
@@ -44,8 +48,9 @@ def calibrate_on_lamp(corrected: Path, settings: BalanceSettings) -> Profile:
     )
     cones = cone_matrix(settings.transform, space.xyz_from_rgb)
     gains = np.diag(cones @ matrix @ np.linalg.inv(cones))
-    return profile.model_copy(
+    completed = profile.model_copy(
         update={
+            "format": 2,
             "lamp": Lamp(
                 found="auto" if settings.lamp == "auto" else "settings",
                 polygon=[(round(float(x), 3), round(float(y), 3)) for x, y in lamp.polygon],
@@ -61,6 +66,8 @@ def calibrate_on_lamp(corrected: Path, settings: BalanceSettings) -> Profile:
             "warnings": [*profile.warnings, *lamp.warnings],
         }
     )
+    light, doubts = chart_light.measure(completed, settings.camera, folder)
+    return completed.model_copy(update={"light": light, "warnings": [*completed.warnings, *doubts]})
 
 
 def balance(
@@ -97,6 +104,7 @@ def balance(
         "lamp_pixels": profile.lamp.pixels,
         "cone_gains": list(profile.lamp.cone_gains),
         "transform": profile.lamp.transform,
+        "chart_light": profile.light and profile.light.model_dump(exclude={"emission", "sigma", "wavelengths_nm"}),
     }
     r, g, b = profile.lamp.rgb
     now = ", ".join(f"{v:.4g}" for v in lamp_now)

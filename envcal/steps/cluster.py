@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +11,16 @@ import numpy.typing as npt
 
 from envcal import atomic, exr, provenance
 from envcal.config import ClusterSettings, DeclaredLight, parse_wavelengths
+from envcal.errors import EnvcalError
 from envcal.lights_file import LightRecord, Lights, record, summary
 from envcal.maps import Map
 from envcal.runner import Outcome
-from envcal.spd import read_spd
+from envcal.spd import in_library, read_spd
+from envcal.steps import chart_light
 
 if TYPE_CHECKING:
+    from envcal.profile import Profile
+    from uplift.illuminants import Family
     from uplift.lights import Declared
     from uplift.spectrum import Observer
 
@@ -30,8 +34,13 @@ def cluster(
     declared: Sequence[DeclaredLight],
     wavelengths: str,
     observer_name: str,
+    calibration: float = 0.0,
+    profiles: Mapping[str, Profile] | None = None,
 ) -> Outcome:
-    """Find the lights of a map; write R, G, B, `cluster` and `sky` to `out` and the lights to `lights_out`.
+    """Find the lights of a map; write it, its `cluster`s and the `sky` to `out` and the lights to `lights_out`.
+
+    `profiles` are those of chart shots in this place, by name: a light of a chart's colour gets the spectrum measured there.
+    `calibration` is the relative standard deviation that the camera's calibration gives to any CCT (`calibration_error`).
 
     The lights also stand in the header of `out`, so that one file carries all that the uplift needs.
     """
@@ -60,22 +69,38 @@ def cluster(
         observer=seen,
         space=space,
         estimator=settings.estimator,
+        library=_library(settings.library, seen),
+        families=_families(settings.sky_model),
+        calibration=calibration,
     )
+    charts = {name: one.light for name, one in (profiles or {}).items() if one.light is not None}
+    if settings.chart_spectrum == "off":
+        charts = {}
+    colours = clusters.lamps @ space.xyz_from_rgb.T
+    emitting, chart_warnings = chart_light.given(found.lights, colours, charts, seen)
     lights = Lights(
         wavelengths=wavelengths,
         observer=observer_name,
         space=source.space,
         sky=sky.present,
-        lights=[record(light) for light in found.lights],
+        lights=[record(light) for light in emitting],
     )
     measured = [light.spd for light in declared if light.spd is not None]
+    measured += [] if settings.library is None else in_library(settings.library)
+    measured += [] if settings.sky_model is None else [settings.sky_model]
     attributes = {
         **provenance.attributes("cluster", settings=_told(settings, declared), inputs=[source.path, *measured]),
         **provenance.colour_space(source.space),
         "envmap": True,
         "envcalLights": lights.model_dump(mode="json"),
     }
-    planes = {**exr.rgb_planes(image), "cluster": clusters.labels, "sky": sky.mask.astype(np.uint32)}
+    planes = {
+        **exr.rgb_planes(image),
+        "cluster": clusters.labels,
+        "second": clusters.second,
+        "weight": clusters.weight,
+        "sky": sky.mask.astype(np.uint32),
+    }
     exr.write(out, planes, attributes=attributes)
     atomic.write_json(lights_out, lights.model_dump(mode="json"))
     figures = {
@@ -84,7 +109,7 @@ def cluster(
         "sky": sky.present,
         "lights": [light.model_dump(mode="json", exclude={"emission"}) for light in lights.lights],
     }
-    warnings = [*found.warnings, *doubts(image, clusters.labels, lights.lights, declared)]
+    warnings = [*found.warnings, *chart_warnings, *doubts(image, clusters.labels, lights.lights, declared)]
     return Outcome(summary(lights.lights), figures, warnings)
 
 
@@ -147,7 +172,50 @@ def _degrees(one: tuple[float, float], other: tuple[float, float]) -> float:
 def _told(settings: ClusterSettings, declared: Sequence[DeclaredLight]) -> dict[str, Any]:
     """The settings with the lights that were declared, files by name only: a path would differ between machines."""
     lights = [light.model_dump(mode="json") | {"spd": light.spd and light.spd.name} for light in declared]
-    return settings.model_dump(mode="json") | {"lights": lights}
+    owned = {name: getattr(settings, name) and getattr(settings, name).name for name in ("library", "sky_model")}
+    return settings.model_dump(mode="json") | {"lights": lights} | owned
+
+
+def _library(folder: Path | None, seen: Observer) -> list[tuple[str, npt.NDArray[np.float64]]]:
+    from uplift.illuminants.measured import measured_emission
+
+    if folder is None:
+        return []
+    return [(path.name, measured_emission(*read_spd(path), seen, name=str(path))) for path in in_library(folder)]
+
+
+def _families(sky_model: Path | None) -> Mapping[str, Family]:
+    """The package's families, sunsets being those of the Prague sky model where its data are at hand."""
+    from uplift.illuminants import FAMILIES, with_sky_model
+
+    if sky_model is None:
+        return FAMILIES
+    try:
+        data = np.memmap(sky_model, np.uint8, "r")
+    except (OSError, ValueError) as error:
+        raise EnvcalError(f"{sky_model}: cannot be read ({error}). Correct `cluster.sky_model`.") from error
+    return with_sky_model(data, place=str(sky_model))
+
+
+#: Relative error of the CCT that von Kries adaptation to the lamp leaves, mean over 51 cameras and five lights (CAT16).
+_ADAPTATION_ERROR = 0.026
+
+
+def calibration_error(profile: Profile) -> float:
+    """Return the relative standard deviation of a CCT from a camera's profile: its neutral patches, and the adaptation."""
+    from uplift.cct import cct_duv, xy_of_rgb
+    from uplift.spectrum import rgb_space
+
+    neutral = [
+        p for p in profile.chart.patches if max(p.target_rgb) < 1.25 * min(p.target_rgb) and min(p.target_rgb) > 0
+    ]
+    fitted = np.array([p.fitted_rgb for p in neutral]).reshape(-1, 3)
+    matrix = rgb_space(profile.working_space).xyz_from_rgb
+    seen = cct_duv(xy_of_rgb(fitted, matrix))[0]
+    wanted = cct_duv(xy_of_rgb(np.array([p.target_rgb for p in neutral]).reshape(-1, 3), matrix))[0]
+    off = (seen / wanted - 1.0)[np.isfinite(seen) & np.isfinite(wanted)]
+    of_patches = float(np.sqrt(np.mean(off**2))) if off.size else 0.0
+    return float(np.hypot(of_patches, _ADAPTATION_ERROR))
 
 
 def _declared(light: DeclaredLight, seen: Observer) -> Declared:

@@ -84,18 +84,6 @@ def test_a_lamp_lights_what_is_nearest_to_its_colour():
     assert clusters.labels[16, 17] == cool  # the lamp itself
 
 
-def test_labels_are_the_nearest_lamp_of_a_slow_loop():
-    image = room(["D65", "A", "LED-B3"], height=32)
-    clusters = clusters_of(image)
-    # any pixel on a lamp's own colour is that lamp's; others by the angle to the centre, which is the lamps' here
-    centres = clusters.lamps / np.linalg.norm(clusters.lamps, axis=1, keepdims=True)
-    wrong = 0
-    for y in range(32):
-        for x in range(64):
-            wrong += int(np.argmax(centres @ image[y, x].astype(float))) != clusters.labels[y, x]
-    assert wrong <= 0.01 * 32 * 64  # the centre is a mean of unit vectors, `lamps` one of colours
-
-
 def test_two_runs_are_alike_to_the_last_bit():
     image = room(["D65", "A"])
     first, second = clusters_of(image), clusters_of(image)
@@ -117,8 +105,65 @@ def test_turning_the_map_turns_the_labels():
     image = room(["D65", "A"])
     turned = clusters_of(np.roll(image, 40, axis=1))
     first = clusters_of(image)
-    np.testing.assert_array_equal(turned.labels, np.roll(first.labels, 40, axis=1))
-    np.testing.assert_allclose(turned.lamps, first.lamps, rtol=1e-6)
+    # cells of the tables stand elsewhere among the pixels after a turn
+    assert (turned.labels != np.roll(first.labels, 40, axis=1)).mean() < 0.002
+    np.testing.assert_allclose(turned.lamps, first.lamps, rtol=1e-4)  # as what they throw back is told by the cells
+
+
+def test_half_of_the_light_of_a_white_wall_between_two_lamps_is_each_ones():
+    image = room(["D65", "A"])
+    image[40:44] = 0.5 * emission_rgb("D65") + 0.5 * emission_rgb("A")
+    image[50:54] = emission_rgb("A")
+    clusters = clusters_of(image)
+    warm = int(np.argmin(cct_duv(xy_of_rgb(clusters.lamps, SPACE.xyz_from_rgb))[0]))
+    share = np.where(clusters.labels == warm, clusters.weight, 1 - clusters.weight)
+    assert (clusters.labels != clusters.second)[40:44].all()
+    assert ((clusters.weight >= 0.5) & (clusters.weight <= 1)).all()
+    assert abs(share[41:43].mean() - 0.5) < 0.2  # a mean over mixtures in steps of a quarter, drawn to what is around
+    assert share[51:53].mean() > share[41:43].mean() + 0.15
+
+
+def test_the_patterns_of_a_carpet_have_one_light():
+    """Under a cool lamp right above, the warm tiles of a floor stay with it, though a warm lamp stands far off."""
+    image = room(["D65", "A"], height=128)
+    cool, warm = emission_rgb("D65"), emission_rgb("A")
+    image[:] = 0.6 * cool
+    image[30:34, 60:66] = 2000.0 * cool
+    image[60:63, 200:203] = 400.0 * warm
+    image[96:] = 0.5 * cool
+    tiles = np.add.outer(np.arange(32) // 4, np.arange(256) // 4) % 2 > 0
+    image[96:][tiles] = 0.25 * cool * np.array([1.25, 0.95, 0.6])
+    clusters = clusters_of(image.astype(np.float32))
+    nearest = np.argmax(image @ (clusters.lamps / np.linalg.norm(clusters.lamps, axis=1, keepdims=True)).T, axis=2)
+    first = clusters.labels[32, 63]
+    under = np.s_[100:124, 40:90]
+    assert clusters.count == 2
+    assert (clusters.labels[under] == first).mean() > 0.98
+    assert (nearest[under] == first).mean() <= (clusters.labels[under] == first).mean()
+
+
+def test_the_sky_is_the_outdoor_lights_alone():
+    image = open_air(height=128, sun=False)
+    image[76:84, 100:108] = 300.0 * emission_rgb("HP1")
+    sky = find_sky(image, SPACE.luminance_weights)
+    clusters = clusters_of(image, sky=sky)
+    outdoor = int(np.argmax(clusters.outdoor))
+    assert (clusters.labels[sky.mask] == outdoor).all()
+    assert (clusters.weight[sky.mask] == 1).all()
+
+
+def test_a_panels_own_colour_is_found_behind_what_it_throws_back():
+    """A panel only ten times as bright as the walls, which another lamp lights: its reflected part is taken off."""
+    own, other = emission_rgb("FL7"), emission_rgb("HP1")
+    image = np.repeat(np.repeat((0.7 * other)[np.newaxis, np.newaxis], 64, 0), 128, 1)
+    image[20:28, 10:24] = 12.0 * own + 1.0 * other
+    image[20:23, 80:83] = 60.0 * other
+    clusters = clusters_of(image.astype(np.float32))
+    seen = ccts(clusters)
+    mixed = cct_duv(xy_of_rgb(12.0 * own + 1.0 * other, SPACE.xyz_from_rgb))[0]
+    true = true_ccts(["FL7"])[0]
+    assert clusters.count == 2
+    assert abs(seen.max() / true - 1) < 0.5 * abs(mixed / true - 1)
 
 
 def test_shares_are_ordered_and_add_up_and_places_hold_their_lamp():

@@ -43,7 +43,8 @@ def test_an_undeclared_indoor_light_is_unknown_smooth_and_says_what_would_help()
         assert light.confidence < 0.5
         assert "type" in light.remedy
         np.testing.assert_allclose(light.emission, family_emission("smooth", light.cct, OBSERVER), rtol=1e-6)
-    assert warm(lights).cct == pytest.approx(2855.5, rel=LAMP_CCT)
+    assert warm(lights).cct_seen == pytest.approx(2855.5, rel=LAMP_CCT)
+    assert warm(lights).cct == pytest.approx(2 / (1 / 2855.5 + 1 / 6503.0), rel=LAMP_CCT)  # half-way to D65 in mired
     assert cool(lights).cct == pytest.approx(6503.0, rel=LAMP_CCT)
 
 
@@ -207,3 +208,34 @@ def test_an_unknown_estimator_and_another_maps_clusters_are_refused():
     clusters = cluster_angles(image, luminance_weights=SPACE.luminance_weights, xyz_from_rgb=SPACE.xyz_from_rgb)
     with pytest.raises(UpliftError, match="expected those of the same map"):
         lights_of(image[:-1], clusters, observer=OBSERVER, space=SPACE)
+
+
+# ---- how sure ----
+
+
+def test_probabilities_of_the_kinds_sum_to_one_and_a_declared_kind_is_certain():
+    lights = found(room(["D65", "A"]), declared=[Declared(at=A_AT, type="led")])
+    for light in lights:
+        assert sum(light.kinds.values()) == pytest.approx(1.0)
+    assert warm(lights).kinds["led"] == 1.0
+    assert cool(lights).kinds["incandescent"] < 0.05
+
+
+def test_under_a_sky_the_light_is_daylight_almost_surely():
+    assert found(open_air(height=128))[0].kinds["daylight"] > 0.95
+
+
+def test_an_error_of_the_calibration_widens_the_temperatures():
+    image = room(["A"])
+    sure, unsure = found(image)[0], found(image, calibration=0.04)[0]
+    assert unsure.cct_sigma**2 == pytest.approx(sure.cct_sigma**2 + (0.04 * sure.cct_seen) ** 2)
+    assert 0 < sure.duv_sigma < 0.01
+
+
+def test_a_spectrum_of_the_library_with_the_lights_colour_is_suggested_and_not_used():
+    library = [("tube.csv", illuminant("FL3.15", OBSERVER)), ("bulb.csv", illuminant("A", OBSERVER))]
+    lights = found(room(["D65", "A"]), library=library)
+    assert "bulb.csv" in warm(lights).remedy and "spd: bulb.csv" in warm(lights).remedy
+    assert warm(lights).type == "smooth"
+    assert "bulb" not in cool(lights).remedy
+    assert "library" not in found(room(["LED-B3"]), library=library)[0].remedy

@@ -27,8 +27,7 @@ import numpy.typing as npt
 from uplift import UpliftError
 from uplift.cluster.count import choose, grow_like_the_paper
 from uplift.cluster.evidence import bright, lamps_or_surfaces, view_of
-from uplift.cluster.kmeans import angles, directions
-from uplift.cluster.record import Clusters, described, nothing
+from uplift.cluster.record import Clusters, lone, mixed, nothing
 from uplift.sky import Sky
 
 __all__ = ["Clusters", "cluster_angles"]
@@ -87,9 +86,6 @@ def cluster_angles(
         return nothing(image, "the map holds no light: no pixel has a luminance above zero")
     if evidence == "bright":
         found = bright(view)
-        centres = grow_like_the_paper(found, view.sky, matrix, k_max)
-    else:
-        found = lamps_or_surfaces(view)
-        centres = choose(found, view, matrix, k_max)
-    features = angles if evidence == "bright" else directions
-    return described(image, view, found, centres, features=features, xyz_from_rgb=matrix)
+        return lone(image, view, found, grow_like_the_paper(found, view.sky, matrix, k_max), matrix)
+    chosen = choose(lamps_or_surfaces(view), view, matrix, k_max)
+    return mixed(image, view, chosen, sky, matrices=(np.asarray(luminance_weights, np.float64), matrix))

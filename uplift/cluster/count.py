@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
@@ -71,8 +73,17 @@ def weighted_median(values: Floats, weight: Floats) -> float:
     return float(values[order][np.searchsorted(total, total[-1] / 2)])
 
 
-def choose(found: Evidence, view: View, xyz_from_rgb: Floats, k_max: int) -> Floats:
-    """Centres [k, 3] of the default method: as many lamps as differ clearly, the sky's light counting as one."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Chosen:
+    """The lights of a map by the default method."""
+
+    centres: Floats  # [k, 3] directions in RGB
+    outdoor: int  # which of them is the sky's light (the last); −1: none
+    evidence: Evidence  # what speaks for the others
+
+
+def choose(found: Evidence, view: View, xyz_from_rgb: Floats, k_max: int) -> Chosen:
+    """Return as many lamps as differ clearly, the sky's light counting as one."""
     outdoors: list[Floats] = []
     keep = np.ones(len(found.place), np.bool_)
     if view.sky is not None:
@@ -84,10 +95,11 @@ def choose(found: Evidence, view: View, xyz_from_rgb: Floats, k_max: int) -> Flo
         if found.weight[keep].sum() < MIN_SHARE_UNDER_SKY * view.light.sum():
             keep[:] = False
     room = k_max - len(outdoors)
+    kept = found.kept(keep)
     if not keep.any() or room < 1:
-        return directions(np.vstack(outdoors))
+        return Chosen(directions(np.vstack(outdoors)), 0, kept)
     least_mired, least_share = (ALIKE_MIRED, MIN_SHARE) if found.direct else (ALIKE_MIRED_SURFACES, MIN_SHARE_SURFACES)
-    points, weight = histogram(directions(found.rgb[keep]), found.rgb[keep], found.weight[keep])
+    points, weight = histogram(directions(kept.rgb), kept.rgb, kept.weight)
     best = None
     for centres in kmeans_up_to(points, weight, room):
         label = np.argmin(squared(points, centres), axis=1)
@@ -99,7 +111,10 @@ def choose(found: Evidence, view: View, xyz_from_rgb: Floats, k_max: int) -> Flo
         clear = share.min() >= least_share and _separation(points, weight, label, centres) >= SEPARATION
         if len(centres) == 1 or clear:
             best = centres
-    return directions(np.vstack([*([] if best is None else [best]), *outdoors]))
+    if best is None:  # every number of lamps would have had one that is the sky's light again
+        return Chosen(directions(np.vstack(outdoors)), 0, kept.kept(np.zeros(len(kept.place), np.bool_)))
+    centres = directions(np.vstack([best, *outdoors]))
+    return Chosen(centres, len(centres) - 1 if outdoors else -1, kept)
 
 
 def grow_like_the_paper(found: Evidence, in_sky: Bools | None, xyz_from_rgb: Floats, k_max: int) -> Floats:

@@ -33,12 +33,8 @@ class View:
     rgb: Floats  # [h, w, 3]
     luminance: Floats  # [h, w]
     solid_angle: Floats  # [h, w], as a share of the sphere
+    light: Floats  # [h, w] luminance times solid angle
     sky: Bools | None  # [h, w]; None: there is none
-
-    @property
-    def light(self) -> Floats:
-        """Luminance times solid angle, [h, w]."""
-        return self.luminance * self.solid_angle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,6 +45,11 @@ class Evidence:
     weight: Floats  # [P]
     place: npt.NDArray[np.int64]  # [P] flat index into the working map
     direct: bool
+    above: float = np.inf  # luminance above which a pixel is a lamp seen directly
+
+    def kept(self, those: Bools) -> Evidence:
+        """Return the part of the evidence that `those` [P] names."""
+        return Evidence(self.rgb[those], self.weight[those], self.place[those], self.direct, self.above)
 
 
 def view_of(image: Image, luminance_weights: Floats, sky: Sky | None) -> View:
@@ -68,7 +69,8 @@ def view_of(image: Image, luminance_weights: Floats, sky: Sky | None) -> View:
     edges = np.cos(np.pi * np.arange(len(rgb) + 1) / len(rgb))
     rows = (edges[:-1] - edges[1:]) / (2.0 * rgb.shape[1])
     solid_angle = np.repeat(rows[:, np.newaxis], rgb.shape[1], axis=1)
-    return View(rgb, np.maximum(rgb @ luminance_weights, 0.0), solid_angle, mask)
+    luminance = np.maximum(rgb @ luminance_weights, 0.0)
+    return View(rgb, luminance, solid_angle, luminance * solid_angle, mask)
 
 
 def daylight(view: View) -> Floats:
@@ -95,8 +97,10 @@ def _greatest_irradiance(view: View) -> float:
         ],
         axis=-1,
     ).reshape(-1, 3)
-    cosines = np.maximum(directions @ directions.T, 0.0)
-    return float(4.0 * (cosines @ small.ravel()).max())  # 4π of the sphere over π
+    ways = directions.astype(np.float32)
+    cosines = ways @ ways.T
+    np.maximum(cosines, 0.0, out=cosines)
+    return float(4.0 * (cosines @ small.ravel().astype(np.float32)).max())  # 4π of the sphere over π
 
 
 def greatest_nearby(luminance: Floats, radius: int) -> Floats:
@@ -108,9 +112,9 @@ def greatest_nearby(luminance: Floats, radius: int) -> Floats:
     return np.asarray(grown[:, radius:-radius], np.float64)
 
 
-def _evidence(view: View, weight: Floats, chosen: Bools, *, direct: bool) -> Evidence:
+def _evidence(view: View, weight: Floats, chosen: Bools, *, direct: bool, above: float = np.inf) -> Evidence:
     place = np.flatnonzero(chosen & (view.luminance > 0))
-    return Evidence(view.rgb.reshape(-1, 3)[place], weight.ravel()[place], place, direct)
+    return Evidence(view.rgb.reshape(-1, 3)[place], weight.ravel()[place], place, direct, above)
 
 
 def bright(view: View) -> Evidence:
@@ -123,10 +127,11 @@ def lamps_or_surfaces(view: View) -> Evidence:
     """Lamps seen directly, weighted by their light; where there are none, the locally brightest surfaces."""
     light, luminance = view.light, view.luminance
     nearby = greatest_nearby(luminance, round(GLOW_RADIUS * luminance.shape[1]))
-    lamps = luminance > LAMP_ABOVE_DIFFUSE * _greatest_irradiance(view)
+    above = LAMP_ABOVE_DIFFUSE * _greatest_irradiance(view)
+    lamps = luminance > above
     lamps &= luminance >= GLOW_BELOW * nearby
     if light[lamps].sum() >= MIN_LAMP_LIGHT * light.sum():
-        return _evidence(view, light, lamps, direct=True)
+        return _evidence(view, light, lamps, direct=True, above=above)
     return _surfaces(view)
 
 

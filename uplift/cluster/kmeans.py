@@ -1,8 +1,7 @@
-"""K-means of colours by the angle between them, on a histogram; and the nearest centre of every pixel."""
+"""K-means of colours by the angle between them, on a histogram."""
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -79,33 +78,12 @@ def _lloyd(points: Floats, weight: Floats, centres: Floats) -> Floats:
     return centres
 
 
-@numba.njit(cache=True, parallel=True)  # type: ignore[misc,untyped-decorator,unused-ignore]
-def _label_directions(image, centres, labels):  # type: ignore[no-untyped-def]
-    """Nearest centre by the angle between colours: the greatest dot product with its unit vector."""
-    for y in numba.prange(image.shape[0]):
-        for x in range(image.shape[1]):
-            r, g, b = max(image[y, x, 0], 0.0), max(image[y, x, 1], 0.0), max(image[y, x, 2], 0.0)
-            best, greatest = 0, 0.0
-            if np.isfinite(r + g + b):
-                for i in range(centres.shape[0]):
-                    dot = r * centres[i, 0] + g * centres[i, 1] + b * centres[i, 2]
-                    if dot > greatest:
-                        best, greatest = i, dot
-            labels[y, x] = best
-
-
 def labelled(image: Image, centres: Floats) -> npt.NDArray[np.uint32]:
-    """Return the nearest centre of every pixel [H, W]; 0 where a pixel is black or not finite.
-
-    `centres` [k, 3] are unit vectors of colours, or [k, 2] the paper's angles.
-    """
+    """Return the nearest centre [k, 2] of the paper's angles for every pixel [H, W]; 0 where one is black or not finite."""
     labels = np.zeros(image.shape[:2], np.uint32)
     if len(centres) == 1:
         return labels
-    if centres.shape[1] == 3:
-        _label_directions(image, centres, labels)
-        return labels
-    for start in range(0, len(image), 64):  # the paper's metric, in strips of rows
+    for start in range(0, len(image), 64):  # in strips of rows
         strip = image[start : start + 64]
         fine: npt.NDArray[np.bool_] = np.asarray(np.isfinite(strip).all(axis=2))
         rgb = np.where(fine[..., np.newaxis], np.maximum(strip, 0.0), 0.0).astype(np.float64)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -10,9 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from uplift.cct import cct_duv, mired, xy_of_rgb
-from uplift.cluster.count import weighted_median
+from uplift.cluster.count import Chosen, weighted_median
 from uplift.cluster.evidence import Evidence, View, daylight
-from uplift.cluster.kmeans import histogram, labelled, squared
+from uplift.cluster.kmeans import angles, directions, histogram, labelled, squared
+from uplift.cluster.lamps import lamp_colour, without_reflections
+from uplift.cluster.membership import Members, Membership, members, membership
+from uplift.sky import Sky
 
 Floats = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
@@ -27,6 +29,10 @@ class Clusters:
     """
 
     labels: npt.NDArray[np.uint32]  # [H, W], 0 … count − 1; pixels without a colour (black, NaN) are 0
+    second: npt.NDArray[np.uint32]  # [H, W] the light that has most of what is left; = labels where there is none
+    weight: (
+        Image  # [H, W] share of `labels` in what both lights give to the pixel, 0.5 … 1; 1 − weight is that of `second`
+    )
     count: int
     means: Floats  # [k, 3] mean RGB of the cluster's pixels, by solid angle (the paper's colour)
     brightest: Floats  # [k, 3] RGB of its brightest pixel of the working map (the paper's outdoor colour)
@@ -35,10 +41,116 @@ class Clusters:
     lamps: Floats
     direct: Bools  # [k] whether `lamps` rests on a lamp seen directly (else on the brightest surfaces)
     spread_mired: Floats  # [k] robust standard deviation of that evidence, in mired; NaN where not measurable
+    spread_duv: Floats  # [k] the same of its Duv
     outdoor: Bools  # [k] whether the cluster holds the sky
     share: Floats  # [k] of luminance · solid angle of the whole map; sums to 1
     at: Floats  # [k, 2] (u, v) of the cluster's brightest region, 0…1 from the top left of the map
     warnings: tuple[str, ...]
+
+
+def nothing(image: Image, warning: str) -> Clusters:
+    zero = np.zeros((1, 3))
+    return Clusters(
+        labels=np.zeros(image.shape[:2], np.uint32),
+        second=np.zeros(image.shape[:2], np.uint32),
+        weight=np.ones(image.shape[:2], np.float32),
+        count=1,
+        means=zero,
+        brightest=zero,
+        lamps=zero,
+        direct=np.array([False]),
+        spread_mired=np.array([np.nan]),
+        spread_duv=np.array([np.nan]),
+        outdoor=np.array([False]),
+        share=np.array([1.0]),
+        at=np.array([[0.5, 0.5]]),
+        warnings=(warning,),
+    )
+
+
+def mixed(image: Image, view: View, chosen: Chosen, sky: Sky | None, *, matrices: tuple[Floats, Floats]) -> Clusters:
+    """The record of the default method: a pixel may have two lights.
+
+    `matrices` are the luminance weights [3] and XYZ from RGB [3, 3].
+    """
+    weights, xyz_from_rgb = matrices
+    found, outdoor = chosen.evidence, chosen.outdoor
+    count = len(chosen.centres)
+    lamps_only = chosen.centres[: count - (outdoor >= 0)]
+    owner = np.zeros(0, np.int64)
+    if len(found.place):
+        owner = np.argmin(squared(directions(found.rgb), lamps_only), axis=1)
+    colours = chosen.centres.copy()
+    for one in range(len(lamps_only)):
+        colours[one] = lamp_colour(found.rgb[owner == one], found.weight[owner == one])
+    small = view.rgb.astype(np.float32)
+
+    def tables(lights: Floats) -> Membership:
+        return membership(view, lights, found, owner, luminance_weights=weights, lamp_above=found.above)
+
+    evidence = found.rgb
+    if found.direct and count > 1:
+        before = members(small, tables(colours), view.sky, outdoor)
+        evidence = without_reflections(view, found, owner, colours, before, weights)
+        for one in range(len(lamps_only)):
+            colours[one] = lamp_colour(evidence[owner == one], found.weight[owner == one])
+    final = tables(colours)
+    own = members(small, final, view.sky, outdoor)
+    light = view.light
+    lit = light.ravel() > 0
+    total = np.bincount(own.first.ravel()[lit], (light * own.weight).ravel()[lit], count)
+    total += np.bincount(own.second.ravel()[lit], (light * (1.0 - own.weight)).ravel()[lit], count)
+    share = total / total.sum()
+    main = np.bincount(own.first.ravel()[lit], minlength=count)
+    order = np.argsort(-share, kind="stable")
+    if (main == 0).any():  # a light that is the first of no pixel is no cluster
+        left = [one for one in range(count) if main[one]]
+        still = outdoor in left
+        speaks = np.isin(owner, left)
+        kept = Chosen(chosen.centres[left], len(left) - 1 if still else -1, found.kept(speaks))
+        return mixed(image, view, kept, sky, matrices=matrices)
+    rank = np.argsort(order)
+    everywhere = members(image, final, sky.mask if sky is not None and sky.present else None, outdoor, rank=rank)
+    label = np.where(light > 0, rank[own.first], -1)
+    rows = [
+        _one(
+            view,
+            label == place,
+            evidence[owner == one] if one != outdoor else evidence[:0],
+            found.weight[owner == one] if one != outdoor else found.weight[:0],
+            found.direct,
+            xyz_from_rgb,
+        )
+        for place, one in enumerate(order)
+    ]
+    outdoors = order == outdoor
+    return _record(view, rows, share[order], everywhere, outdoors)
+
+
+def lone(image: Image, view: View, found: Evidence, centres: Floats, xyz_from_rgb: Floats) -> Clusters:
+    """The record of the paper's method: every pixel has the light of the nearest centre [k, 2]."""
+    lit = view.luminance > 0
+    nearest = np.argmin(squared(angles(view.rgb[lit]), centres), axis=1)
+    light = view.light[lit]
+    share = np.bincount(nearest, light, len(centres)) / light.sum()
+    order = np.argsort(-share, kind="stable")
+    if share[order[-1]] <= 0:  # a centre that no pixel of the map is nearest to is no cluster
+        return lone(image, view, found, centres[order[share[order] > 0]], xyz_from_rgb)
+    label = np.full(view.luminance.shape, -1)
+    label[lit] = np.argsort(order)[nearest]
+    speaks = label.ravel()[found.place]
+    rows, skies = [], []
+    for one in range(len(centres)):
+        rows.append(
+            _one(view, label == one, found.rgb[speaks == one], found.weight[speaks == one], found.direct, xyz_from_rgb)
+        )
+        skies.append(0.0 if view.sky is None else float((view.solid_angle * view.sky)[label == one].sum()))
+    outdoors = np.zeros(len(rows), np.bool_)
+    if max(skies) > 0:
+        outdoors[int(np.argmax(skies))] = True  # at most one: the one with most of the sky
+    labels = labelled(image, centres[order])
+    own = Members(labels, labels, np.ones(labels.shape, np.float32))
+    return _record(view, rows, share[order], own, outdoors)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,25 +161,46 @@ class _Described:
     brightest: Floats
     lamp: Floats
     direct: bool
-    spread: float
-    sky: float
+    spread: tuple[float, float]  # mired, Duv
     at: tuple[float, float]
 
 
-def nothing(image: Image, warning: str) -> Clusters:
-    zero = np.zeros((1, 3))
+def _one(view: View, mine: Bools, colours: Floats, weight: Floats, direct: bool, xyz_from_rgb: Floats) -> _Described:
+    height, width = view.luminance.shape
+    place = _brightest_region(view.luminance, mine)
+    if not len(colours):  # a cluster of the paper's metric may hold dark pixels only
+        colours, weight, direct = view.rgb[mine], view.light[mine], False
+    inside = np.flatnonzero(mine)
+    rgb, solid_angle = view.rgb.reshape(-1, 3)[inside], view.solid_angle.ravel()[inside]
+    return _Described(
+        mean=solid_angle @ rgb / solid_angle.sum(),
+        brightest=rgb[np.argmax(view.luminance.ravel()[inside])],
+        lamp=lamp_colour(colours, weight),
+        direct=direct,
+        spread=_spreads(colours, weight, xyz_from_rgb),
+        at=((place % width + 0.5) / width, (place // width + 0.5) / height),
+    )
+
+
+def _record(view: View, rows: list[_Described], share: Floats, own: Members, outdoor: Bools) -> Clusters:
+    lamps = np.stack([row.lamp for row in rows])
+    if outdoor.any():
+        lamps[outdoor] = daylight(view)
     return Clusters(
-        labels=np.zeros(image.shape[:2], np.uint32),
-        count=1,
-        means=zero,
-        brightest=zero,
-        lamps=zero,
-        direct=np.array([False]),
-        spread_mired=np.array([np.nan]),
-        outdoor=np.array([False]),
-        share=np.array([1.0]),
-        at=np.array([[0.5, 0.5]]),
-        warnings=(warning,),
+        labels=own.first,
+        second=own.second,
+        weight=own.weight,
+        count=len(rows),
+        means=np.stack([row.mean for row in rows]),
+        brightest=np.stack([row.brightest for row in rows]),
+        lamps=lamps,
+        direct=np.array([row.direct for row in rows]),
+        spread_mired=np.array([row.spread[0] for row in rows]),
+        spread_duv=np.array([row.spread[1] for row in rows]),
+        outdoor=outdoor,
+        share=share,
+        at=np.array([row.at for row in rows]),
+        warnings=(),
     )
 
 
@@ -82,78 +215,15 @@ def _brightest_region(luminance: Floats, mine: Bools) -> int:
     return int(np.argmax(np.where(mine, own, -1.0)))
 
 
-def described(
-    image: Image,
-    view: View,
-    found: Evidence,
-    centres: Floats,
-    *,
-    features: Callable[[Floats], Floats],
-    xyz_from_rgb: Floats,
-) -> Clusters:
-    """The record: clusters of the working map measured, put in order of their share, and every pixel labelled."""
-    lit = view.luminance > 0
-    nearest = np.argmin(squared(features(view.rgb[lit]), centres), axis=1)
-    light = view.light[lit]
-    share = np.bincount(nearest, light, len(centres)) / light.sum()
-    order = np.argsort(-share, kind="stable")
-    if share[order[-1]] <= 0:  # a centre that no pixel of the map is nearest to is no cluster
-        centres = centres[order[share[order] > 0]]
-        return described(image, view, found, centres, features=features, xyz_from_rgb=xyz_from_rgb)
-    centres, share = centres[order], share[order]
-    height, width = view.rgb.shape[:2]
-    label = np.full((height, width), -1)
-    label[lit] = np.argsort(order)[nearest]
-    speaks = label.ravel()[found.place]
-    rows: list[_Described] = []
-    for one in range(len(centres)):
-        mine = label == one
-        place = _brightest_region(view.luminance, mine)
-        evidence = speaks == one
-        if evidence.any():
-            colours, weight, direct = found.rgb[evidence], found.weight[evidence], found.direct
-        else:  # a cluster of the paper's metric may hold dark pixels only
-            colours, weight, direct = view.rgb[mine], view.light[mine], False
-        rows.append(
-            _Described(
-                mean=np.average(view.rgb[mine], axis=0, weights=view.solid_angle[mine]),
-                brightest=view.rgb[mine][np.argmax(view.luminance[mine])],
-                lamp=np.average(colours, axis=0, weights=weight / colours.sum(axis=1)),
-                direct=direct,
-                spread=_spread_mired(colours, weight, xyz_from_rgb),
-                sky=0.0 if view.sky is None else float((view.solid_angle * view.sky)[mine].sum()),
-                at=((place % width + 0.5) / width, (place // width + 0.5) / height),
-            )
-        )
-    lamps = np.stack([row.lamp for row in rows])
-    skies = np.array([row.sky for row in rows])
-    outdoor = np.zeros(len(rows), np.bool_)
-    if skies.max() > 0:
-        outdoor[np.argmax(skies)] = True  # at most one: the one with most of the sky
-    if outdoor.any():
-        lamps[outdoor] = daylight(view)
-    return Clusters(
-        labels=labelled(image, centres),
-        count=len(rows),
-        means=np.stack([row.mean for row in rows]),
-        brightest=np.stack([row.brightest for row in rows]),
-        lamps=lamps,
-        direct=np.array([row.direct for row in rows]),
-        spread_mired=np.array([row.spread for row in rows]),
-        outdoor=outdoor,
-        share=share,
-        at=np.array([row.at for row in rows]),
-        warnings=(),
-    )
-
-
-def _spread_mired(colours: Floats, weight: Floats, xyz_from_rgb: Floats) -> float:
-    """Robust standard deviation of the colours' mired, NaN where fewer than half of the weight has a CCT."""
+def _spreads(colours: Floats, weight: Floats, xyz_from_rgb: Floats) -> tuple[float, float]:
+    """Robust standard deviations of the colours' mired and Duv, NaN where fewer than half of the weight has a CCT."""
     points, share = histogram(colours / colours.sum(axis=1, keepdims=True), colours, weight)
-    cct, _ = cct_duv(xy_of_rgb(points, xyz_from_rgb))
+    cct, duv = cct_duv(xy_of_rgb(points, xyz_from_rgb))
     known = np.isfinite(cct)
     if share[known].sum() < 0.5:
-        return float("nan")
-    steps = mired(cct[known])
-    middle = weighted_median(steps, share[known])
-    return 1.4826 * weighted_median(np.abs(steps - middle), share[known])
+        return float("nan"), float("nan")
+    found = []
+    for values in (mired(cct[known]), duv[known]):
+        middle = weighted_median(values, share[known])
+        found.append(1.4826 * weighted_median(np.abs(values - middle), share[known]))
+    return found[0], found[1]

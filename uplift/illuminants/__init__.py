@@ -22,9 +22,11 @@ from uplift.illuminants import smooth as _smooth
 from uplift.illuminants import sunset as _sunset
 from uplift.illuminants.measured import measured_emission
 from uplift.illuminants.nodes import cct_duv_of
+from uplift.illuminants.prague import prague_nodes, prague_sunset, read_prague
 from uplift.spectrum import Observer
+from uplift.spectrum import observer as grid
 
-__all__ = ["FAMILIES", "Family", "cct_duv_of", "family_emission", "measured_emission"]
+__all__ = ["FAMILIES", "Family", "cct_duv_of", "family_emission", "measured_emission", "with_sky_model"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +55,24 @@ FAMILIES: dict[str, Family] = {
         _smooth.smooth, *_smooth.RANGE_K, "unknown kind of lamp: black body below 4500 K, daylight above 5500 K"
     ),
 }
+
+
+def with_sky_model(data: npt.NDArray[np.uint8], *, place: str = "Prague sky model") -> dict[str, Family]:
+    """Return the families with sunsets from a data file of the Prague sky model, `data` [bytes]; see `prague`.
+
+    Raises UpliftError if the bytes are not such a file.
+    """
+    sky = read_prague(data, place=place)
+    nodes = prague_nodes(sky, grid())
+    reach = (nodes[0].cct, min(nodes[-1].cct, _daylight.RANGE_K[0]))
+    if reach[0] >= reach[1]:
+        raise UpliftError(f"{place}: its low suns have {reach[0]:.0f} K and more; expected some below 5000 K")
+
+    def sunset(cct: float, observer: Observer) -> npt.NDArray[np.float64]:
+        return prague_sunset(prague_nodes(sky, observer), cct, observer)
+
+    source = "brightest place of the sky under a low sun (Prague sky model, Wilkie et al. 2021)"
+    return {**FAMILIES, "sunset": Family(sunset, reach[0] * (1 + 1e-6), reach[1] * (1 - 1e-6), source)}
 
 
 def family_emission(family: str, cct: float, observer: Observer) -> npt.NDArray[np.float64]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 import numpy.typing as npt
 
@@ -9,6 +11,16 @@ from uplift import UpliftError
 from uplift.spectrum import Observer, normalised
 
 Floats = npt.NDArray[np.float64]
+
+
+class Distribution(Protocol):
+    """What a spectral distribution has."""
+
+    @property
+    def wavelengths(self) -> npt.NDArray[np.float64]: ...
+    @property
+    def values(self) -> npt.NDArray[np.float64]: ...
+
 
 MUST_COVER_NM = (400.0, 700.0)  # outside, the observer's ȳ is below 0.5 % of its peak
 MAX_GAP_NM = 20.0
@@ -75,6 +87,16 @@ def measured_emission(
         )
     values = np.maximum(values, 0.0)
     return normalised(resampled(where, values, observer), observer)
+
+
+def emission_of_distribution(distribution: Distribution, observer: Observer) -> Floats:
+    """Return a spectral distribution of colour-science on the observer's grid, Y = 1.
+
+    Any object with `wavelengths` in nm, `values` and a `name` will do. Raises UpliftError as `measured_emission` does.
+    """
+    return measured_emission(
+        distribution.wavelengths, distribution.values, observer, name=str(getattr(distribution, "name", "spectrum"))
+    )
 
 
 def resampled(wavelengths_nm: Floats, values: Floats, observer: Observer) -> Floats:

@@ -1,0 +1,205 @@
+"""The chart's light in profile and lights: it goes to the light of its colour and to no other, or says why not."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from envcal import cameras, profile
+from envcal.errors import EnvcalError
+from envcal.steps.chart_light import given, measure
+from uplift.illuminants import cct_duv_of, family_emission
+from uplift.lights import Light
+from uplift.spectrometer import chart_reflectances
+from uplift.spectrum import illuminant, observer, xyz_of
+
+EYES = observer()
+CAMERA = "Nikon 5100 (NPL)"
+MATRIX = np.array([[1.2, -0.3, 0.1], [-0.1, 1.1, -0.1], [0.05, -0.4, 1.5]])
+#: As in tests/uplift/test_spectrometer.py.
+NEAR = 0.25
+
+
+@cache
+def curves():
+    return cameras.sensitivities(CAMERA, EYES.wavelengths_nm)
+
+
+def a_profile(light, *, lamp=True, noise=0.002, slope=0.0, fall_off=1.0):
+    """The profile of a chart under a light; `slope` tilts red from one side of the chart to the other."""
+    raw = chart_reflectances(EYES) @ (curves() * light[:, None])
+    raw = raw * (1 + noise * np.random.default_rng(3).standard_normal((24, 3)))
+    shade = np.linspace(fall_off, 1 / fall_off, 24)
+    raw[:, 0] *= 1 + slope * ((np.arange(24) % 6) - 2.5) / 2.5
+    patches = [
+        profile.Patch(
+            name=str(k),
+            camera_rgb=profile.row(raw[k] * shade[k]),
+            noise=profile.row(noise * raw[k]),
+            pixels=100,
+            light=float(shade[k]),
+            target_rgb=(0.2, 0.2, 0.2),
+            fitted_rgb=(0.2, 0.2, 0.2),
+            delta_e=1.0,
+            delta_e_left_out=1.0,
+        )
+        for k in range(24)
+    ]
+    chart = profile.Chart(reference="r", found="auto", corners=[], quads=[], cost=None, fit="linear", patches=patches)
+    d65 = 7.0 * illuminant("D65", EYES) @ curves()
+    strip = profile.Lamp(
+        found="auto",
+        polygon=[],
+        pixels=50,
+        clipped=0,
+        rgb=profile.row(MATRIX @ d65),
+        noise=(0, 0, 0),
+        transform="CAT16",
+        luminance="lamp",
+        cone_gains=(1, 1, 1),
+    )
+    return profile.Profile(
+        working_space="ITU-R BT.2020",
+        camera=profile.Camera(model="c", lens="", iso=100, f_number=8),
+        reference_shot="reference.exr",
+        reference_digest="0" * 64,
+        chart=chart,
+        matrix=profile.matrix_rows(MATRIX),
+        lamp=strip if lamp else None,
+    )
+
+
+def a_light(name="LED-B3", *, declared=False, emission=None):
+    """A light of the map with the colour of a lamp, and another spectrum."""
+    cct, duv = cct_duv_of(illuminant(name, EYES) if emission is None else emission, EYES)
+    return Light(
+        cluster=0,
+        type="smooth",
+        cct=cct,
+        duv=0.0,
+        emission=family_emission("smooth", cct, EYES),
+        source="unknown",
+        confidence=0.3,
+        share=1.0,
+        at=(0.5, 0.5),
+        declared=declared,
+        remedy="declare it",
+        cct_seen=cct,
+        duv_seen=duv,
+        cct_sigma=0.01 * cct,
+    )
+
+
+def colours(*lights):
+    return xyz_of(np.array(lights), EYES)
+
+
+@pytest.mark.parametrize(("camera", "loss"), [(CAMERA, False), (None, True)])
+def test_the_profile_tells_the_spectrum_on_its_chart(camera, loss):
+    lamp = illuminant("LED-B3", EYES)
+    light, warnings = measure(a_profile(lamp, fall_off=1.3), camera, Path())
+    assert warnings == [] and light.refused == ""
+    assert np.linalg.norm(np.array(light.emission) - lamp) < NEAR * np.linalg.norm(lamp)
+    assert light.family == "led" and light.camera == (camera or "")
+    assert (light.camera_loss > 1) == loss
+
+
+def test_the_camera_may_be_a_file_beside_the_settings(tmp_path):
+    table = np.column_stack([EYES.wavelengths_nm, curves()])
+    np.savetxt(tmp_path / "mine.csv", table, delimiter=",")
+    lamp = illuminant("LED-B3", EYES)
+    light, _ = measure(a_profile(lamp), "mine.csv", tmp_path)
+    named, _ = measure(a_profile(lamp), CAMERA, tmp_path)
+    np.testing.assert_allclose(light.emission, named.emission, rtol=1e-6, atol=1e-9)
+    with pytest.raises(EnvcalError, match="neither a file"):
+        measure(a_profile(lamp), "yours.csv", tmp_path)
+
+
+def test_without_a_lamp_or_a_whole_chart_nothing_is_measured():
+    lamp = illuminant("LED-B3", EYES)
+    assert measure(a_profile(lamp, lamp=False), CAMERA, Path()) == (None, [])
+    whole = a_profile(lamp)
+    part = whole.model_copy(update={"chart": whole.chart.model_copy(update={"patches": whole.chart.patches[:9]})})
+    assert measure(part, CAMERA, Path()) == (None, [])
+
+
+def test_a_refusal_is_kept_told_and_not_used():
+    light, warnings = measure(a_profile(illuminant("LED-B3", EYES), slope=0.2), CAMERA, Path())
+    assert "several lights" in light.refused
+    assert len(warnings) == 1 and "not used" in warnings[0]
+    own = a_light()
+    assert given([own], colours(own.emission), {"p": light}, EYES) == ([own], [])
+
+
+def test_what_cannot_be_a_reading_is_a_warning():
+    bad = a_profile(illuminant("LED-B3", EYES))
+    dark = bad.model_copy(update={"lamp": bad.lamp.model_copy(update={"rgb": (0.0, 0.0, 0.0)})})
+    light, warnings = measure(dark, CAMERA, Path())
+    assert light is None and "could not be measured" in warnings[0]
+
+
+def test_the_profile_with_its_light_is_written_and_read_and_one_of_format_1_is_read(tmp_path):
+    made = a_profile(illuminant("FL11", EYES))
+    light, _ = measure(made, CAMERA, Path())
+    whole = made.model_copy(update={"light": light})
+    whole.write(tmp_path / "p.json")
+    assert profile.read(tmp_path / "p.json") == whole
+    old = made.model_dump(mode="json") | {"format": 1}
+    del old["light"]
+    import json
+
+    assert profile.parse(json.dumps(old), place="old").light is None
+
+
+def test_the_spectrum_goes_to_the_light_of_its_colour_and_to_no_other():
+    chart, _ = measure(a_profile(illuminant("LED-B3", EYES)), CAMERA, Path())
+    own, other = a_light("LED-B3"), a_light("A")
+    (first, second), warnings = given([other, own], colours(other.emission, own.emission), {"p.json": chart}, EYES)
+    assert warnings == []
+    assert first is other
+    assert second.type == "measured" and "p.json" in second.source and "led" in second.source
+    assert 0.3 <= second.confidence <= 0.99 and second.remedy == ""
+    np.testing.assert_allclose(second.emission, chart.emission, rtol=1e-6)
+
+
+def test_what_a_person_declared_stays():
+    chart, _ = measure(a_profile(illuminant("LED-B3", EYES)), CAMERA, Path())
+    own = a_light("LED-B3", declared=True)
+    assert given([own], colours(own.emission), {"p": chart}, EYES) == ([own], [])
+
+
+def test_two_charts_measure_two_lights():
+    charts = {name: measure(a_profile(illuminant(name, EYES)), CAMERA, Path())[0] for name in ("LED-B5", "A")}
+    lights = [a_light("A"), a_light("LED-B5")]
+    found, warnings = given(lights, colours(*(one.emission for one in lights)), charts, EYES)
+    assert warnings == []
+    assert ["of A" in found[0].source, "of LED-B5" in found[1].source] == [True, True]
+
+
+def test_a_second_chart_of_the_same_light_is_told_and_not_used():
+    chart, _ = measure(a_profile(illuminant("LED-B3", EYES)), CAMERA, Path())
+    own = a_light()
+    (found,), warnings = given([own], colours(own.emission), {"one": chart, "two": chart}, EYES)
+    assert "of one" in found.source
+    assert len(warnings) == 1 and "two" in warnings[0]
+
+
+def test_an_even_mixture_of_two_lights_is_given_to_neither_and_named():
+    a, b = illuminant("A", EYES), illuminant("LED-B5", EYES)
+    chart, _ = measure(a_profile(0.5 * a + 0.5 * b), CAMERA, Path())
+    lights = [a_light("A"), a_light("LED-B5")]
+    found, warnings = given(lights, colours(a, b), {"p": chart}, EYES)
+    assert found == lights
+    assert len(warnings) == 1
+    assert "none of the lights" in warnings[0] and "light 0" in warnings[0] and "light 1" in warnings[0]
+    share = int(warnings[0].split("light 0 (")[1].split("%")[0])
+    assert abs(share - 50) <= 6
+
+
+def test_a_light_without_a_colour_gets_nothing():
+    chart, _ = measure(a_profile(illuminant("LED-B3", EYES)), CAMERA, Path())
+    black = replace(a_light(), cct_seen=float("nan"), duv_seen=float("nan"))
+    found, warnings = given([black], np.zeros((1, 3)), {"p": chart}, EYES)
+    assert found == [black] and "none of the lights" in warnings[0]

@@ -1,0 +1,86 @@
+"""The light on a chart, with a camera that is known, or fitted together with the light.
+
+For an unknown camera the reading is bilinear in light and camera. It is solved by linearising about the last estimate of
+both (Gauss–Newton): the camera's deviations from its mean are then Gaussian errors of known directions, which the
+posterior of the light integrates over, so that the light's variance holds what is lost by not knowing the camera.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uplift.spectrometer.camera import CameraModel
+from uplift.spectrometer.chart import Reading, anchored, covariance, responses
+from uplift.spectrometer.posterior import Floats, Posterior, posterior
+from uplift.spectrometer.prior import Prior
+from uplift.spectrum import Observer, illuminant
+
+KNOWN_ROUNDS, UNKNOWN_ROUNDS = 2, 7
+DAMPING = 0.7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A posterior with the reading it explains: `A` [72, N], `covariance` [72, 72] of all errors, `camera` [J] amounts."""
+
+    posterior: Posterior
+    A: Floats
+    covariance: Floats
+    camera: Floats
+    residual: Floats  # [72]
+    chi2: float  # per degree of freedom
+    fixed_camera: Floats | None = None  # [72, 72] of the errors if the camera were known to be what was found
+
+
+def fit(reading: Reading, reflectances: Floats, camera: Floats | CameraModel, prior: Prior, observer: Observer) -> Fit:
+    """Return the light on a chart of `reflectances` [24, N], seen by `camera`: sensitivities [N, 3], or a model."""
+    if isinstance(camera, CameraModel):
+        return _unknown(reading, reflectances, camera, prior, observer)
+    A = responses(reflectances, anchored(camera, observer), observer.step_nm)
+    light = _start(reading, A, observer)
+    for turn in range(KNOWN_ROUNDS):
+        errors = covariance(reading, A, light, observer)
+        found = posterior(reading.flat, A, errors, prior, positive=turn == KNOWN_ROUNDS - 1)
+        light = found.light
+    return _judged(reading.flat, A, errors, found, np.zeros(0))
+
+
+def _unknown(reading: Reading, reflectances: Floats, model: CameraModel, prior: Prior, observer: Observer) -> Fit:
+    amounts = np.zeros(len(model.directions))
+    A = responses(reflectances, model.mean, observer.step_nm)
+    light = _start(reading, A, observer)
+    for turn in range(UNKNOWN_ROUNDS):
+        curves = model.curves(amounts)
+        A = responses(reflectances, curves, observer.step_nm)
+        J = np.stack([responses(reflectances, d, observer.step_nm) @ light for d in model.directions], axis=1)
+        fixed = covariance(reading, A, light, observer)
+        errors = fixed + _left_over(reflectances, light, curves, model, observer) + J @ J.T
+        seen = reading.flat + J @ amounts
+        found = posterior(seen, A, errors, prior, positive=turn == UNKNOWN_ROUNDS - 1)
+        light = found.light if turn == 0 else DAMPING * found.light + (1 - DAMPING) * light
+        amounts = (1 - DAMPING) * amounts + DAMPING * (J.T @ np.linalg.solve(errors, seen - A @ found.light))
+    return _judged(seen, A, errors, found, amounts, fixed)
+
+
+def _left_over(reflectances: Floats, light: Floats, curves: Floats, model: CameraModel, observer: Observer) -> Floats:
+    sigma, like = model.left_over(curves, observer)
+    out: Floats = np.zeros((72, 72))
+    for c in range(3):
+        own = reflectances * light * sigma[:, c] * observer.step_nm
+        out[c::3, c::3] = own @ like @ own.T
+    return out
+
+
+def _start(reading: Reading, A: Floats, observer: Observer) -> Floats:
+    day = illuminant("D65", observer)
+    return np.asarray(day * (reading.flat.mean() / (A @ day).mean()))
+
+
+def _judged(
+    m: Floats, A: Floats, errors: Floats, found: Posterior, amounts: Floats, fixed: Floats | None = None
+) -> Fit:
+    residual = m - A @ found.light
+    chi2 = float(residual @ np.linalg.solve(errors, residual)) / max(m.size - found.freedom, 1.0)
+    return Fit(found, A, errors, amounts, residual, chi2, fixed)
