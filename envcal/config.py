@@ -85,17 +85,51 @@ class CaptureSettings(Settings):
     reference itself is the map."""
 
 
+Level = Annotated[float, Field(gt=0, le=65_535)]
+Seconds = Annotated[float, Field(gt=0, le=100_000)]
+Transmission = Annotated[float, Field(gt=0, le=1)]
+Radiance = Annotated[float, Field(ge=0, le=1e12)]
+
+
 class MergeSettings(Settings):
     """RAW bracket → radiance in camera RGB."""
 
-    gain_e_per_dn: Annotated[float, Field(gt=0, le=1000)] | None = None
-    """Electrons per raw count. Left out: guessed from the levels and ISO; it only ranks the weights of the frames."""
-    read_noise_e: Annotated[float, Field(gt=0, le=1000)] | None = None
-    """Read noise in electrons. Left out: 3."""
+    white_level: Literal["data", "file"] | Level = "data"
+    """Where samples count as clipped: `data`, on the plateau that the clipped samples of the longest frame make, never
+    above the file's level; `file`; or a number of raw counts."""
+    black_level: Literal["data", "file"] = "data"
+    """`data`: from masked photosites, else from the bracket itself, where they are sure; `file`: as the files say."""
+    dark_frame: Path | None = None
+    """A RAW frame taken under the lens cap; its levels are black."""
+    exposure_ratios: Literal["data", "file"] = "data"
+    """`data`: the light of each frame is fitted to the pixels where that is sure to 0.3 %; `file`: times are believed."""
+    exposures: dict[str, Seconds] = {}
+    """Name of a frame's file → its true exposure in seconds, where the file is wrong."""
+    filters: dict[str, Transmission | tuple[Transmission, Transmission, Transmission]] = {}
+    """Name of a frame's file → share of the light that a grey filter lets through: one number, or red, green and blue."""
     mixed_iso: bool = False
     """Let the frames of a bracket differ in ISO; radiance is then in units of the lowest."""
+    mixed_aperture: bool = False
+    """Let the frames differ in aperture; radiance is then in units of the smallest opening."""
+    gain_e_per_dn: Annotated[float, Field(gt=0, le=1000)] | None = None
+    """Electrons per raw count at the lowest ISO. Left out: measured on the bracket, or guessed from levels and ISO."""
+    read_noise_e: Annotated[float, Field(gt=0, le=1000)] | None = None
+    """Read noise in electrons. Left out: measured on the bracket, or 3."""
+    deviation: bool = False
+    """Write the standard deviation of every sample too."""
     defects: bool = True
     """Replace hot and dead photosites by their neighbours of the same colour."""
+    demosaic: Literal["edges", "malvar"] = "edges"
+    """`edges`: along edges, in a logarithmic scale, which leaves no coloured rims around lamps; `malvar`: linear filters,
+    faster. Bayer mosaics only."""
+    lost: Literal["none", "neighbour"] | tuple[Radiance, Radiance, Radiance] = "none"
+    """What stands where every frame is clipped: nothing (NaN), the colour of the neighbours at the smallest radiance
+    that explains the clipping, or a declared camera RGB, such as the sun's."""
+
+    @property
+    def files(self) -> list[Path]:
+        """The files that are read besides the frames."""
+        return [path for path in (self.dark_frame,) if path is not None]
 
 
 class CorrectSettings(Settings):
@@ -505,6 +539,11 @@ def _resolve(path: Path, tree: Any, settings: Pipeline) -> Loaded:
             environments[name] = frames(patterns, ("capture", "environment", name))
     elif capture.environment is not None:
         environments["environment"] = frames(capture.environment, ("capture", "environment"))
+    for key in ("dark_frame",):
+        named = getattr(settings.merge, key)
+        if named is not None and not (folder / named).is_file():
+            line = _line(tree, ("merge", key))
+            mistakes.append(f"{path}:{line}: merge.{key}: there is no file {folder / named}. Correct the path.")
     lights = []
     for number, light in enumerate(settings.cluster.lights):
         rooted = _rooted(light, folder)

@@ -59,7 +59,8 @@ class Stage:
     """A row of the table: what the stage reads, writes and depends on.
 
     `inputs` and `outputs` are names below the output folder; `{shot}` stands for every shot, `{map}` for the shots
-    of the environment, `{frames}` for all RAW frames and `{spectra}` for measured spectra that the settings name.
+    of the environment, `{frames}` for all RAW frames, `{darkroom}` for the dark frame and the flat field, and `{spectra}` for measured spectra
+    that the settings name.
     `settings` names the parts of the settings on which the result depends.
     """
 
@@ -77,6 +78,8 @@ def expand(names: Sequence[str], run: Run) -> list[Path]:
     for name in names:
         if name == "{frames}":
             paths += [frame for frames in loaded.shots.values() for frame in frames]
+        elif name == "{darkroom}":
+            paths += [loaded.path.parent / path for path in loaded.settings.merge.files]
         elif name == "{spectra}":
             paths += [light.spd for light in loaded.lights if light.spd is not None]
         elif "{shot}" in name:

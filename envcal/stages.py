@@ -8,9 +8,10 @@ from envcal.runner import Outcome, Run, Stage, map_shots
 
 
 def _merge(run: Run) -> Outcome:
-    from envcal.steps.merge import merge
+    from envcal.steps.merge import merge, refuse_unknown_names, rooted
 
-    settings = run.loaded.settings.merge
+    settings = rooted(run.loaded.settings.merge, run.loaded.path.parent)
+    refuse_unknown_names(settings, run.loaded.shots)
     return _each(
         run,
         run.loaded.shots,
@@ -109,7 +110,7 @@ STAGES: tuple[Stage, ...] = (
         name="merge",
         light="RAW bracket → radiance in camera RGB",
         settings=("merge",),
-        inputs=("{frames}",),
+        inputs=("{frames}", "{darkroom}"),
         outputs=("merge/{shot}.exr",),
         work=_merge,
     ),

@@ -205,9 +205,6 @@ NO_CFA: dict[int, tuple[int, Any] | None] = {262: (SHORT, (34892,)), 33421: None
 @pytest.mark.parametrize(
     ("mosaic", "changed", "said"),
     [
-        (mosaic_of(), {33421: (SHORT, (6, 6)), 33422: (BYTE, X_TRANS)}, "X-Trans"),
-        (mosaic_of(), NO_CFA, "monochrome"),
-        (np.dstack([mosaic_of()] * 3), NO_CFA, "three colours at every photosite"),
         (mosaic_of(), {33422: (BYTE, (0, 1, 2, 1))}, "a Bayer mosaic"),
         (mosaic_of().astype(np.float32) / 16383, {339: (SHORT, (3,))}, "floating-point"),
         ((mosaic_of() / 16383).astype(np.float16), {339: (SHORT, (3,))}, "floating-point"),
