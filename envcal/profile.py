@@ -63,8 +63,10 @@ class Chart(_Part):
     """Pixels of the reference shot: top left (dark skin), top right, bottom right, bottom left."""
     quads: list[list[tuple[float, float]]]
     """The sampled part of each patch."""
-    cost: float | None
-    """Cost of the detector; None for corners from the settings."""
+    cost: float | None = None
+    """Of the detector, in profiles of earlier versions."""
+    score: float | None = None
+    """Mean CIEDE2000 by which the chart was known; None for corners from the settings."""
     fit: str
     patches: list[Patch]
 

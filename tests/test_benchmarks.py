@@ -22,7 +22,7 @@ def test_the_list_names_every_benchmark(capsys):
 
 def test_an_unknown_benchmark_is_refused(capsys):
     assert program.main(["upfilt"]) == 2
-    assert "expected uplift or roundtrip" in capsys.readouterr().err
+    assert "expected uplift or chart or roundtrip" in capsys.readouterr().err
 
 
 def test_the_speed_benchmark_prints_a_ratio_for_every_way_of_uplifting(capsys, tmp_path):
@@ -104,3 +104,13 @@ def test_real_maps_are_read_and_clustered(tmp_path, monkeypatch, capsys):
     assert groups["real: own lights"].uplifts == 1 and groups["real: other lamps"].uplifts == 5
     assert groups["real: own lights"].pixels == 2048
     assert "real: own lights" in roundtrip.report({**groups, "all": groups["real: own lights"]})
+
+
+def test_the_chart_benchmark_counts_what_is_found_and_what_is_not_there(capsys, tmp_path, monkeypatch):
+    monkeypatch.delenv("ENVCAL_DATA", raising=False)
+    arguments = ["chart", "--first", "5", "--with", "1", "--without", "1", "--maps", "0", "--json", f"{tmp_path}/f"]
+    assert program.main(arguments) == 0
+    shown = capsys.readouterr().out
+    assert "pictures with a chart: 1 of 1 found" in shown and "0 false charts in 1" in shown and "skipped" in shown
+    figures = json.loads((tmp_path / "f").read_text())
+    assert figures["pictures"]["found"] == 1 and figures["without"]["false"] == {}

@@ -64,7 +64,7 @@ def calibrate_on_chart(merged: Path, settings: CorrectSettings, working_space: s
             found="auto" if settings.chart == "auto" else "settings",
             corners=_points(found.corners),
             quads=[_points(quad) for quad in found.quads],
-            cost=float(found.cost) if np.isfinite(found.cost) else None,
+            score=float(found.score) if np.isfinite(found.score) else None,
             fit=settings.fit,
             patches=[
                 Patch(
@@ -109,7 +109,7 @@ def correct(
     figures = {
         "shot": out.stem,
         "delta_e": delta_e,
-        "chart_cost": profile.chart.cost,
+        "chart_score": profile.chart.score,
         "chart_found": profile.chart.found,
         "negative_pixels": negative,
     }
