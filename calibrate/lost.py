@@ -56,7 +56,7 @@ def fill_lost(
         Radiance that a lost sample of each colour has at least.
     """
     missing = np.isnan(image)
-    lost = missing.any(axis=2)
+    lost: npt.NDArray[np.bool_] = missing[..., 0] | missing[..., 1] | missing[..., 2]
     count = int(lost.sum())
     out = image.copy()
     if not isinstance(fill, str):

@@ -117,6 +117,12 @@ class MergeSettings(Settings):
     """Read noise in electrons. Left out: measured on the bracket, or 3."""
     deviation: bool = False
     """Write the standard deviation of every sample too."""
+    align: bool = False
+    """Find frames that were not taken from quite the same place, and shift them; a set from a tripod stays as it is. Bayer
+    and monochrome frames."""
+    deghost: bool = False
+    """Leave frames out where something moved in them, as far as noise does not explain the difference. Bayer and monochrome
+    frames."""
     defects: bool = True
     """Replace hot and dead photosites by their neighbours of the same colour."""
     demosaic: Literal["edges", "malvar"] = "edges"

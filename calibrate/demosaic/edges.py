@@ -70,7 +70,7 @@ def _typical(samples: Plane) -> float:
     lit = some[some > 0]
     if len(lit):
         return float(np.median(lit))
-    largest = float(np.abs(some).max(initial=0.0))
+    largest = float(np.max(np.abs(some), initial=0.0))
     return largest if largest > 0 else 1.0
 
 

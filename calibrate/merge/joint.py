@@ -36,8 +36,7 @@ _PRIOR_LOG_LIGHT = 0.4
 _PRIOR_BLACK = 5e-4
 
 _BLOCKS = 64
-_ROUNDS = 3
-_STEPS = 8
+_STEPS = (8, 4, 3)
 _BINS = 28
 _ROUNDING_VARIANCE = 1.0 / 12.0
 
@@ -127,8 +126,8 @@ def fit_jointly(
     span = float(np.mean(clip - black))
     prior = np.concatenate([np.where(fixed, 1e12, _PRIOR_LOG_LIGHT**-2), np.full(groups, (_PRIOR_BLACK * span) ** -2)])
     spread, used, hessian = 1e3, 0, np.diag(prior)
-    for _ in range(_ROUNDS):
-        for _ in range(_STEPS):
+    for steps in _STEPS:
+        for _ in range(steps):
             normal, gradient = np.zeros((_BLOCKS, size, size)), np.zeros((_BLOCKS, size))
             told = np.zeros(_BLOCKS, np.int64)
             _accumulate(

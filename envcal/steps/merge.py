@@ -18,7 +18,9 @@ from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
 
 if TYPE_CHECKING:
-    from calibrate.merge import Measured, Merged
+    from calibrate.align import Displacement
+    from calibrate.deghost import Ghosts
+    from calibrate.merge import Measured, Merged, MosaicFrame
     from envcal.raw import RawFrame
 
 
@@ -36,18 +38,24 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
 
     raws = [raw.described(**changes_of(raw.path.name, settings)) for raw in open_bracket(frames)]
     check_bracket([raw.info for raw in raws], mixed_iso=settings.mixed_iso, mixed_aperture=settings.mixed_aperture)
-    measured = measure_bracket(raws, _asked(settings, raws))
+    asked = _asked(settings, raws)
+    measured = measure_bracket(raws, asked)
+    placed, displaced, moves = _placed(raws, measured, settings)
+    if any(d.moved for d in displaced):
+        measured = measure_bracket(placed, asked)
+    ghosts = _ghosts(placed, measured, settings)
     merged = merge_mosaics(
-        raws,
+        placed,
         measured=measured,
         defects=settings.defects,
         mixed_iso=settings.mixed_iso,
         mixed_aperture=settings.mixed_aperture,
         deviation=settings.deviation,
+        ghosts=None if ghosts is None else ghosts.masks,
         progress=progress,
     )
     info = raws[0].info
-    del raws
+    del raws, placed
     image = demosaic(merged.mosaic, merged.cfa, method=settings.demosaic)
     lost = lost_pixels(image)
     share = lost_share(lost)
@@ -59,6 +67,8 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
         "envcalCamera": camera.model_dump(mode="json"),
     }
     planes: dict[str, npt.NDArray[Any]] = {**exr.rgb_planes(image), "lost": lost.astype(np.uint32)}
+    if merged.ghosts is not None:
+        planes["ghost"] = np.ascontiguousarray(merged.ghosts[:, :: merged.ghosts.shape[1] // lost.shape[1]], np.uint32)
     if merged.deviation is not None:
         from calibrate.demosaic import spread
 
@@ -80,6 +90,8 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
         "noise_from": measured.noise_from,
         "black_from": measured.black_from,
         "black_shift_dn": measured.black_shift_dn,
+        "shifts": [[float(v) for v in d.shift] if d.moved else [0.0, 0.0] for d in displaced],
+        "ghosts": None if ghosts is None else [float(share) for share in ghosts.shares],
         "clip_from": measured.clip_from,
         "clip_dn": [float(v) for v in _of_colours(measured.exposures[0].clip, merged.cfa)],
     }
@@ -87,7 +99,7 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
         f"{len(frames)} frame{'s' if len(frames) != 1 else ''} → {image.shape[1]}×{image.shape[0]} pixels, {int(lost.sum())} lost, "
         f"{merged.defect_count} defects replaced"
     )
-    return Outcome(summary, figures, [*merged.warnings, *warnings])
+    return Outcome(summary, figures, [*moves, *merged.warnings, *warnings])
 
 
 def rooted(settings: MergeSettings, folder: Path) -> MergeSettings:
@@ -134,6 +146,43 @@ def _asked(settings: MergeSettings, raws: Sequence[RawFrame]) -> Any:
         read_noise_e=settings.read_noise_e,
         mixed_aperture=settings.mixed_aperture,
     )
+
+
+def _placed(
+    raws: Sequence[RawFrame], measured: Measured, settings: MergeSettings
+) -> tuple[Sequence[MosaicFrame], Sequence[Displacement], list[str]]:
+    """Return the frames, moved where that proves a gain, how they stood, and what a person should know."""
+    if not settings.align or len(raws) == 1:
+        return raws, (), []
+    from calibrate.align import FEWEST_TILES, AlignedFrame, find_displacements
+
+    found = find_displacements(raws, measured.exposures)
+    frames: list[MosaicFrame] = [
+        AlignedFrame(raw, d.shift, e.clip) if d.moved else raw
+        for raw, d, e in zip(raws, found, measured.exposures, strict=True)
+    ]
+    if not any(d.moved for d in found):
+        return frames, found, []
+    reach = max(float(np.hypot(*d.shift)) for d in found if d.moved)
+    warnings = [
+        f"{sum(d.moved for d in found)} of {len(raws)} frames were shifted by up to {reach:.1f} photosites, as `merge.align` "
+        "asks. Use a tripod for the sharpest result."
+    ]
+    warnings += [
+        f"{raw.info.name}: too little is seen in it and its neighbour alike to tell how it stands; it keeps its neighbour's "
+        "place. Leave it out if edges are double."
+        for raw, d in zip(raws, found, strict=True)
+        if d.tiles < FEWEST_TILES and d.agreement < 1.0
+    ]
+    return frames, found, warnings
+
+
+def _ghosts(frames: Sequence[MosaicFrame], measured: Measured, settings: MergeSettings) -> Ghosts | None:
+    if not settings.deghost or len(frames) == 1:
+        return None
+    from calibrate.deghost import find_ghosts
+
+    return find_ghosts(frames, measured.exposures)
 
 
 def _of_colours(values: npt.NDArray[np.float64], cfa: str) -> list[float]:
