@@ -7,6 +7,7 @@ from importlib import import_module
 
 BENCHMARKS = {
     "uplift": "speed and memory of every uplift, with ratios to a plain loop and to the lattice",
+    "merge": "time, memory and error of merging a bracket, beside HDRutils, colour-hdri and OpenCV",
     "chart": "charts found and falsely found in synthetic scenes, maps and photographs",
     "roundtrip": "how exactly RGB comes back, over maps and lamps of all families",
 }

@@ -114,10 +114,10 @@ def _decide(
     t: Plane, across: Plane, along: Plane, red_row: int, red_column: int, green: Plane
 ) -> None:  # pragma: no cover - compiled
     for j in prange(5, t.shape[0] - 5):
+        first = red_column if (j & 1) == red_row else 1 - red_column  # parity of the columns without green
         for i in range(5, t.shape[1] - 5):
-            if ((j & 1) == red_row) != ((i & 1) == red_column):
-                green[j, i] = t[j, i]
-                continue
+            green[j, i] = t[j, i]
+        for i in range(6 - first, t.shape[1] - 5, 2):
             row, column = np.float32(0), np.float32(0)
             for v in range(j - 1, j + 2):
                 for u in range(i - 1, i + 2):
@@ -133,9 +133,8 @@ def _opposite(t: Plane, green: Plane, red_row: int, red_column: int, out: Plane)
     """At red and blue places: the other of the two − green, from the diagonals, mixed as the rows and columns are."""
     half = np.float32(0.5)
     for j in prange(6, t.shape[0] - 6):
-        for i in range(6, t.shape[1] - 6):
-            if ((j & 1) == red_row) != ((i & 1) == red_column):
-                continue
+        first = red_column if (j & 1) == red_row else 1 - red_column
+        for i in range(6 + first, t.shape[1] - 6, 2):
             a, b = t[j - 1, i + 1] - green[j - 1, i + 1], t[j + 1, i - 1] - green[j + 1, i - 1]
             c, d = t[j - 1, i - 1] - green[j - 1, i - 1], t[j + 1, i + 1] - green[j + 1, i + 1]
             rising = abs(green[j - 1, i + 1] - green[j + 1, i - 1]) + abs(a - b) + _EVEN

@@ -19,7 +19,7 @@ from calibrate.merge.noise import guess_noise
 from calibrate.merge.records import Counts, Exposure, Float64, Measured, MosaicFrame, NoiseModel, Ratio
 
 # Photosites of all frames together that the fit looks at.
-_SAMPLES = 500_000
+_SAMPLES = 300_000
 
 # A ratio is used if it is known this well (logarithm), and departs by more than `_TELLING` and `_SURE` standard errors.
 _KNOWN, _TELLING, _SURE = 3e-3, 5e-4, 4.0

@@ -33,16 +33,21 @@ def gather(
     """Pass 1: add light × sample and light² of the samples that are not clipped; `skip` is 0 where a sample counts."""
     height, width = raw.shape
     period = len(black) // columns
+    some = skip.shape[0] > 0
     for y in prange(height):
-        base = (y % period) * columns
-        for x in range(width):
-            p = base + x % columns
-            value = np.float64(raw[y, x])
-            if value >= clip[p]:
-                clipped[y] += 1
-            elif skip.shape[0] == 0 or skip[y >> 1, x >> 1] == 0:
-                first[y, x] += light[p] * (value - black[p]) / span[p]
-                squares[y, x] += light[p] * light[p]
+        # Position by position, so that its constants stay in registers.
+        for column in range(columns):
+            p = (y % period) * columns + column
+            top, low, t, unit = clip[p], black[p], light[p], light[p] / span[p]
+            count = 0
+            for x in range(column, width, columns):
+                value = np.float64(raw[y, x])
+                if value >= top:
+                    count += 1
+                elif not some or skip[y >> 1, x >> 1] == 0:
+                    first[y, x] += unit * (value - low)
+                    squares[y, x] += t * t
+            clipped[y] += count
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -74,30 +79,41 @@ def weigh(
     """
     height, width = raw.shape
     period = len(black) // columns
+    some = skip.shape[0] > 0
     for y in prange(height):
-        base = (y % period) * columns
-        for x in range(width):
-            p = base + x % columns
-            value = np.float64(raw[y, x])
-            if value >= clip[p] or (skip.shape[0] > 0 and skip[y >> 1, x >> 1] != 0):
-                continue
-            t = light[p]
-            sample = (value - black[p]) / span[p]
-            top = (clip[p] - black[p]) / span[p]
-            radiance = max(first[y, x] / np.float64(squares[y, x]), 0.0)
-            own = radiance * t / electrons[p] + read[p]
-            # The shortest usable sample has no weight before it, and is always taken. Far below clipping the roots can
-            # be spared.
-            if weights[y, x] > 0 and radiance * t > _FAR_FROM_CLIPPING * top:
-                rest_square = squares[y, x] - t * t
-                rest = (first[y, x] - t * sample) / rest_square * t
-                # The longest of the others makes up nearly all of their sum of squares.
-                ratio = t / np.sqrt(rest_square)
-                borrowed = ratio * radiance * t / electrons[p] + ratio * ratio * read[p]
-                both = (borrowed * sample + own * rest) / (own + borrowed)
-                if both + _CLIP_GUARD_SIGMA * own * np.sqrt(borrowed) / (own + borrowed) >= top:
+        for column in range(columns):
+            p = (y % period) * columns + column
+            t, full, low, unit, shot, dark = (
+                light[p],
+                clip[p],
+                black[p],
+                1.0 / span[p],
+                light[p] / electrons[p],
+                read[p],
+            )
+            top = (full - low) * unit
+            near = _FAR_FROM_CLIPPING * top / t
+            count = 0
+            for x in range(column, width, columns):
+                value = np.float64(raw[y, x])
+                if value >= full or (some and skip[y >> 1, x >> 1] != 0):
                     continue
-            certainty = t / own
-            weighted[y, x] += certainty * sample
-            weights[y, x] += certainty * t
-            used[y] += 1
+                sample = (value - low) * unit
+                radiance = max(first[y, x] / np.float64(squares[y, x]), 0.0)
+                own = radiance * shot + dark
+                # The shortest usable sample has no weight before it, and is always taken. Far below clipping the roots
+                # can be spared.
+                if radiance > near and weights[y, x] > 0:
+                    rest_square = squares[y, x] - t * t
+                    rest = (first[y, x] - t * sample) / rest_square * t
+                    # The longest of the others makes up nearly all of their sum of squares.
+                    ratio = t / np.sqrt(rest_square)
+                    borrowed = ratio * radiance * shot + ratio * ratio * dark
+                    both = (borrowed * sample + own * rest) / (own + borrowed)
+                    if both + _CLIP_GUARD_SIGMA * own * np.sqrt(borrowed) / (own + borrowed) >= top:
+                        continue
+                certainty = t / own
+                weighted[y, x] += certainty * sample
+                weights[y, x] += certainty * t
+                count += 1
+            used[y] += count
