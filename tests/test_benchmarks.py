@@ -22,7 +22,7 @@ def test_the_list_names_every_benchmark(capsys):
 
 def test_an_unknown_benchmark_is_refused(capsys):
     assert program.main(["upfilt"]) == 2
-    assert "expected uplift or chart or roundtrip" in capsys.readouterr().err
+    assert "expected uplift or merge or chart or roundtrip" in capsys.readouterr().err
 
 
 def test_the_speed_benchmark_prints_a_ratio_for_every_way_of_uplifting(capsys, tmp_path):
