@@ -73,7 +73,7 @@ def look(scene: Scene, *, latlong: bool) -> tuple[float, str, float]:
 def _width_on_map(scene: Scene) -> float:
     """The chart's width in pixels of the map's equator: near a pole, distances in x count less than they seem."""
     stretch = max(float(np.cos(np.radians(scene.facts["pitch"]))), 0.05)
-    return scene.facts["degrees"] / 360 * scene.image.shape[1] / stretch
+    return float(scene.facts["degrees"] / 360 * scene.image.shape[1] / stretch)
 
 
 def _found(source: Any, *, latlong: bool) -> dict[str, Any]:

@@ -89,6 +89,8 @@ Level = Annotated[float, Field(gt=0, le=65_535)]
 Seconds = Annotated[float, Field(gt=0, le=100_000)]
 Transmission = Annotated[float, Field(gt=0, le=1)]
 Radiance = Annotated[float, Field(ge=0, le=1e12)]
+Power = Annotated[float, Field(ge=-20, le=20)]
+Powers = tuple[Power, Power, Power]
 
 
 class MergeSettings(Settings):
@@ -132,10 +134,22 @@ class MergeSettings(Settings):
     """What stands where every frame is clipped: nothing (NaN), the colour of the neighbours at the smallest radiance
     that explains the clipping, or a declared camera RGB, such as the sun's."""
 
+    vignetting: Powers | tuple[Powers, Powers, Powers] | None = None
+    """The lens's fall-off 1 + k1 r² + k2 r⁴ + k3 r⁶, r being 1 in the corners: k1, k2, k3, or three of each for red, green
+    and blue."""
+    flat_field: Path | None = None
+    """A RAW frame of an evenly bright surface with the same lens and aperture; the fall-off is measured on it."""
+
     @property
     def files(self) -> list[Path]:
         """The files that are read besides the frames."""
-        return [path for path in (self.dark_frame,) if path is not None]
+        return [path for path in (self.dark_frame, self.flat_field) if path is not None]
+
+    @model_validator(mode="after")
+    def _one_fall_off(self) -> MergeSettings:
+        if self.vignetting is not None and self.flat_field is not None:
+            raise ValueError("give either `vignetting` or `flat_field`; not both")
+        return self
 
 
 class CorrectSettings(Settings):
@@ -148,8 +162,14 @@ class CorrectSettings(Settings):
         "ColorChecker24 - After November 2014"
     )
     """The published data of the chart's patches."""
-    fit: Literal["linear", "white-preserving"] = "linear"
-    """3×3 matrix by least squares, or the same with a white met exactly."""
+    patches: Path | None = None
+    """The chart's own patches as measured: CSV or CGATS (.ti3) with XYZ, L*a*b* or reflectances of 24 patches, row by row
+    from dark skin. Takes the place of `reference`."""
+    fit: Literal["linear", "white-preserving", "root-polynomial", "auto"] = "linear"
+    """3×3 matrix by least squares, the same with a white met exactly, a root-polynomial of degree 2, or `auto`: that or
+    the 3×3 matrix, whichever predicts patches it has not seen better."""
+    spoilt: Literal["leave out", "keep"] = "leave out"
+    """Whether patches with glare or dirt, which the others' fit misses by far, are left out of the fit."""
     white: Literal["patch", "neutrals"] = "patch"
     """The white that a white-preserving fit meets: the white patch, or the mean of the six neutral ones."""
     weighting: Literal["linear", "lightness"] = "linear"
@@ -177,6 +197,11 @@ class BalanceSettings(Settings):
 
     lamp: Literal["auto"] | LampRectangle | LampOnChart = "auto"
     """`auto`, or where the D65 module is."""
+    spectrum: Path | None = None
+    """CSV of the lamp's own measured spectrum: wavelength in nm, value; one line each. Left out: the lamp is D65."""
+    camera: str | None = None
+    """Spectral sensitivities of the camera: a file (CSV or JSON) or a name. The lamp is then balanced in camera RGB, and
+    the matrix comes from the sensitivities instead of from the chart. Needs a linear `correct.fit`."""
     transform: Literal["CAT16", "Bradford", "CAT02", "Von Kries", "XYZ Scaling", "RGB"] = "CAT16"
     """The cone space in which the gains act."""
     luminance: Literal["lamp", "keep"] = "lamp"
@@ -545,7 +570,7 @@ def _resolve(path: Path, tree: Any, settings: Pipeline) -> Loaded:
             environments[name] = frames(patterns, ("capture", "environment", name))
     elif capture.environment is not None:
         environments["environment"] = frames(capture.environment, ("capture", "environment"))
-    for key in ("dark_frame",):
+    for key in ("dark_frame", "flat_field"):
         named = getattr(settings.merge, key)
         if named is not None and not (folder / named).is_file():
             line = _line(tree, ("merge", key))

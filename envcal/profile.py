@@ -1,7 +1,7 @@
 """The calibration profile: what was learned on the reference shot, to be applied to other shots of the same camera.
 
 One JSON file. `correct` finds the chart and starts it, `balance` finds the lamp and completes it. Applying it is one
-3×3 matrix: camera RGB → working RGB whose (1, 1, 1) is the D65 lamp.
+3×3 matrix (and root terms, where such a fit was asked for): camera RGB → working RGB whose (1, 1, 1) is the D65 lamp.
 """
 
 from __future__ import annotations
@@ -45,6 +45,8 @@ class Patch(_Part):
     pixels: int
     light: float
     """Light on the patch; the geometric mean over the chart is 1."""
+    left_out: bool = False
+    """Whether it was spoilt, and has no part in the fit."""
     target_rgb: Row
     """Published colour under D65 in linear working RGB."""
     fitted_rgb: Row
@@ -82,15 +84,21 @@ class Lamp(_Part):
     """Working RGB before the balance."""
     noise: Row
     transform: str
+    """Cone space, or `camera RGB` where the camera's sensitivities were given."""
     luminance: str
     cone_gains: Row
-    """Gains along the axes of the cone space."""
+    """Gains along the axes of that space."""
+    spectrum: str | None = None
+    """File of the lamp's measured spectrum; None: D65."""
+    camera: str | None = None
+    """Sensitivities the matrix comes from; None: from the chart."""
 
 
 class Profile(_Part):
     """Camera RGB → working RGB, and how it was found."""
 
-    format: Literal[1] = 1
+    format: Literal[1, 2] = 1
+    """2 with root terms, which a reader of 1 would leave out; else 1."""
     envcal: str = __version__
     working_space: str
     camera: Camera
@@ -101,10 +109,17 @@ class Profile(_Part):
     chart: Chart
     matrix: Matrix
     """Working RGB from camera RGB; 1 is a perfect white diffuser at the chart."""
+    root_terms: Matrix | None = None
+    """Working RGB from √rg, √gb, √br of camera RGB, to be added to that from r, g, b; None for a linear fit."""
     lamp: Lamp | None = None
     balance_matrix: Matrix | None = None
     """Balanced working RGB from working RGB; (1, 1, 1) is the lamp."""
     warnings: list[str] = Field(default_factory=list)
+
+    def full_matrix(self) -> npt.NDArray[np.float64]:
+        """The chart's matrix [3, 3], or [3, 6] with root terms, as `calibrate.correct.apply_matrix` takes it."""
+        linear = np.asarray(self.matrix, np.float64)
+        return linear if self.root_terms is None else np.hstack([linear, np.asarray(self.root_terms, np.float64)])
 
     def delta_e(self) -> dict[str, float]:
         """Mean and largest CIEDE2000 of the patches, fitted and left out."""

@@ -59,7 +59,8 @@ class Stage:
     """A row of the table: what the stage reads, writes and depends on.
 
     `inputs` and `outputs` are names below the output folder; `{shot}` stands for every shot, `{map}` for the shots
-    of the environment, `{frames}` for all RAW frames, `{darkroom}` for the dark frame and the flat field, and `{spectra}` for measured spectra
+    of the environment, `{frames}` for all RAW frames, `{darkroom}` for the dark frame and the flat field, `{chart}` and `{lamp}`
+    for the files that `correct` and `balance` name, and `{spectra}` for measured spectra
     that the settings name.
     `settings` names the parts of the settings on which the result depends.
     """
@@ -80,6 +81,14 @@ def expand(names: Sequence[str], run: Run) -> list[Path]:
             paths += [frame for frames in loaded.shots.values() for frame in frames]
         elif name == "{darkroom}":
             paths += [loaded.path.parent / path for path in loaded.settings.merge.files]
+        elif name == "{chart}":
+            patches = loaded.settings.correct.patches
+            paths += [] if patches is None else [loaded.path.parent / patches]
+        elif name == "{lamp}":
+            balance = loaded.settings.balance
+            named = [loaded.path.parent / path for path in (balance.spectrum, balance.camera) if path is not None]
+            # A camera may also be a name.
+            paths += [path for path in named if path.is_file()]
         elif name == "{spectra}":
             paths += [light.spd for light in loaded.lights if light.spd is not None]
         elif "{shot}" in name:

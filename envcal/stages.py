@@ -25,7 +25,12 @@ def _correct(run: Run) -> Outcome:
     from envcal.steps.correct import calibrate_on_chart, correct
 
     settings = run.loaded.settings.correct
-    profile = calibrate_on_chart(run.path("merge/reference.exr"), settings, run.loaded.settings.working_space)
+    profile = calibrate_on_chart(
+        run.path("merge/reference.exr"),
+        settings,
+        run.loaded.settings.working_space,
+        folder=run.loaded.path.resolve().parent,
+    )
     profile.write(run.path("correct/profile.json"))
     outcome = _each(
         run,
@@ -39,7 +44,8 @@ def _balance(run: Run) -> Outcome:
     from envcal.steps.balance import balance, calibrate_on_lamp
 
     settings = run.loaded.settings.balance
-    profile = calibrate_on_lamp(run.path("correct/reference.exr"), settings)
+    folder = run.loaded.path.resolve().parent
+    profile = calibrate_on_lamp(run.path("correct/reference.exr"), settings, folder=folder)
     profile.write(run.path("balance/profile.json"))
     outcome = _each(
         run,
@@ -118,7 +124,7 @@ STAGES: tuple[Stage, ...] = (
         name="correct",
         light="chart found in the reference shot → camera to working RGB, applied to every shot",
         settings=("correct", "working_space"),
-        inputs=("merge/{shot}.exr",),
+        inputs=("merge/{shot}.exr", "{chart}"),
         outputs=("correct/{shot}.exr", "correct/profile.json"),
         work=_correct,
     ),
@@ -126,7 +132,7 @@ STAGES: tuple[Stage, ...] = (
         name="balance",
         light="lamp of known spectrum found in the reference shot → von Kries, applied to every shot",
         settings=("balance",),
-        inputs=("correct/{shot}.exr",),
+        inputs=("correct/{shot}.exr", "{lamp}"),
         outputs=("balance/{shot}.exr", "balance/profile.json"),
         work=_balance,
     ),

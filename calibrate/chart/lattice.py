@@ -13,7 +13,16 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from calibrate.chart.geometry import GAP_WIDTH, PATCH_WIDTH, box_corners, image_from_chart, patch_quads, project
+from calibrate.chart.geometry import (
+    COLUMNS,
+    GAP_WIDTH,
+    PATCH_WIDTH,
+    ROWS,
+    box_corners,
+    image_from_chart,
+    patch_quads,
+    project,
+)
 from calibrate.chart.zones import Zones
 
 Points = npt.NDArray[np.float64]
@@ -32,6 +41,10 @@ _MOST_LATTICES: Final = 12
 _ASTRAY: Final = 0.2
 _SMALLEST_PART: Final = 0.15
 _LARGEST_PART: Final = 1.25
+_SHEARS: Final = tuple(
+    np.array(matrix)
+    for matrix in ([[1, 0], [0, 1]], [[1, 1], [0, 1]], [[1, -1], [0, 1]], [[1, 0], [1, 1]], [[1, 0], [-1, 1]])
+)
 _AROUND: Final = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
@@ -126,29 +139,44 @@ def _grown(zones: Zones, tree: cKDTree, seed: int, first: Points, second: Points
 
 
 def _windows(centres: Points, lattice: Lattice) -> Iterator[Points]:
-    """Yield the box of every 6 × 4 and 4 × 6 window that holds nearly as many points as the fullest one."""
-    places = np.array(list(lattice))
+    """Yield the box of every 6 × 4 and 4 × 6 window that holds nearly as many points as the fullest one.
+
+    At a slant a diagonal of the grid may be shorter than a step, and is taken for one: so the places are sheared, too.
+    """
     points = centres[list(lattice.values())]
-    found: list[tuple[int, int, int, int, int]] = []
-    for columns, rows in ((6, 4), (4, 6)):
-        for x0 in range(places[:, 0].min() - columns + 1, places[:, 0].max() + 1):
-            for y0 in range(places[:, 1].min() - rows + 1, places[:, 1].max() + 1):
-                inside = ((places - [x0, y0] >= 0) & (places - [x0, y0] < [columns, rows])).all(axis=1)
-                found.append((int(inside.sum()), x0, y0, columns, rows))
-    fullest = max(count for count, *_ in found)
+    found: list[tuple[int, npt.NDArray[np.int64], tuple[int, int], int, npt.NDArray[np.int64]]] = []
+    for shear in _SHEARS:
+        places = np.array(list(lattice)) @ shear
+        found += [(*window, len(found), places) for window in _counted(places)]
+    fullest = max((window[0] for window in found), default=0)
     pitch = PATCH_WIDTH + GAP_WIDTH
-    for count, x0, y0, columns, rows in sorted(found, reverse=True):
+    for count, corner, size, _, places in sorted(found, key=lambda window: (-window[0], window[3])):
         if count < max(_LEAST_POINTS, fullest - 2):
             return
-        local = places - [x0, y0]
-        inside = ((local >= 0) & (local < [columns, rows])).all(axis=1)
+        local = places - corner
+        inside = ((local >= 0) & (local < size)).all(axis=1)
         # In chart units; a window of 4 × 6 is a chart lying on its side.
-        chart = local[inside][:, :: 1 if columns == 6 else -1] * pitch + GAP_WIDTH + PATCH_WIDTH / 2
+        chart = local[inside][:, :: 1 if size[0] == COLUMNS else -1] * pitch + GAP_WIDTH + PATCH_WIDTH / 2
         if np.ptp(local[inside], axis=0).min() < 1:
             continue
         homography, _ = cv2.findHomography(chart.astype(np.float64), points[inside], cv2.RANSAC, _reach(points[inside]))
         if homography is not None:
             yield project(np.asarray(homography, dtype=np.float64), box_corners())
+
+
+def _counted(places: npt.NDArray[np.int64]) -> list[tuple[int, npt.NDArray[np.int64], tuple[int, int]]]:
+    """Return count, corner and size of every window over `places` [N, 2] that may hold enough of them."""
+    low, high = places.min(axis=0), places.max(axis=0)
+    # A border of zeros as wide as a window: windows may reach beyond the places.
+    grid = np.zeros(high - low + 1 + 2 * COLUMNS, dtype=np.int64)
+    grid[tuple((places - low + COLUMNS).T)] = 1
+    total = np.pad(grid.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    found = []
+    for wide, tall in ((COLUMNS, ROWS), (ROWS, COLUMNS)):
+        counts = total[wide:, tall:] - total[:-wide, tall:] - total[wide:, :-tall] + total[:-wide, :-tall]
+        enough = np.argwhere(counts >= max(_LEAST_POINTS, counts.max() - 2))
+        found += [(int(counts[tuple(at)]), at + low - COLUMNS, (wide, tall)) for at in enough]
+    return found
 
 
 def _reach(points: Points) -> float:
