@@ -13,6 +13,8 @@ Measured on the noise-free shot of the sample's room (640×1280, 819 200 pixels)
 the logarithm; 2128 pixels leave the range of colours that is within two pixels of them by 15 %, against 7891 and 3547.
 """
 
+from typing import Any
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -70,7 +72,7 @@ def _typical(samples: Plane) -> float:
     lit = some[some > 0]
     if len(lit):
         return float(np.median(lit))
-    largest = float(np.max(np.abs(some), initial=0.0))
+    largest = float(np.abs(some).max()) if len(some) else 0.0
     return largest if largest > 0 else 1.0
 
 
@@ -84,7 +86,7 @@ def _to_log(x: Plane, factor: float, out: Plane) -> None:  # pragma: no cover - 
 
 
 @njit(cache=True, error_model="numpy")
-def _between(a: float, b: float, bend: float) -> float:  # pragma: no cover - compiled
+def _between(a: Any, b: Any, bend: Any) -> Any:  # pragma: no cover - compiled
     """Return the middle of a and b, bent by what the other colour does between them, and held between them."""
     return min(max(np.float32(0.5) * (a + b) + bend, min(a, b)), max(a, b))
 

@@ -20,6 +20,7 @@ from envcal.runner import Outcome
 if TYPE_CHECKING:
     from calibrate.align import Displacement
     from calibrate.deghost import Ghosts
+    from calibrate.lens import Vignetting
     from calibrate.merge import Measured, Merged, MosaicFrame
     from envcal.raw import RawFrame
 
@@ -32,6 +33,7 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
     """
     from calibrate.demosaic import demosaic, lost_pixels
     from calibrate.exposure import check_bracket
+    from calibrate.lens import remove_vignetting
     from calibrate.lost import lost_share
     from calibrate.merge import measure_bracket, merge_mosaics
     from envcal.raw import open_bracket
@@ -60,6 +62,9 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
     lost = lost_pixels(image)
     share = lost_share(lost)
     image, warnings = _filled(image, merged, settings, share)
+    vignetting = _vignetting(settings)
+    if vignetting is not None:
+        image = remove_vignetting(image, vignetting)
     camera = Camera(model=info.camera, lens=info.lens, iso=info.iso, f_number=info.f_number)
     attributes = {
         **provenance.attributes("merge", settings=settings.model_dump(mode="json"), inputs=frames),
@@ -72,9 +77,9 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
     if merged.deviation is not None:
         from calibrate.demosaic import spread
 
-        planes |= {
-            f"sigma.{name}": plane for name, plane in exr.rgb_planes(spread(merged.deviation, merged.cfa)).items()
-        }
+        sigma = spread(merged.deviation, merged.cfa)
+        sigma = sigma if vignetting is None else remove_vignetting(sigma, vignetting)
+        planes |= {f"sigma.{name}": plane for name, plane in exr.rgb_planes(sigma).items()}
     exr.write(out, planes, attributes=attributes)
     figures = {
         "shot": out.stem,
@@ -92,6 +97,7 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
         "black_shift_dn": measured.black_shift_dn,
         "shifts": [[float(v) for v in d.shift] if d.moved else [0.0, 0.0] for d in displaced],
         "ghosts": None if ghosts is None else [float(share) for share in ghosts.shares],
+        "vignetting": vignetting,
         "clip_from": measured.clip_from,
         "clip_dn": [float(v) for v in _of_colours(measured.exposures[0].clip, merged.cfa)],
     }
@@ -104,8 +110,8 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
 
 def rooted(settings: MergeSettings, folder: Path) -> MergeSettings:
     """Return the settings with their paths starting from `folder`."""
-    dark = settings.dark_frame
-    return settings if dark is None else settings.model_copy(update={"dark_frame": folder / dark})
+    named = {"dark_frame": settings.dark_frame, "flat_field": settings.flat_field}
+    return settings.model_copy(update={key: folder / path for key, path in named.items() if path is not None})
 
 
 def refuse_unknown_names(settings: MergeSettings, shots: Mapping[str, Sequence[Path]]) -> None:
@@ -146,6 +152,23 @@ def _asked(settings: MergeSettings, raws: Sequence[RawFrame]) -> Any:
         read_noise_e=settings.read_noise_e,
         mixed_aperture=settings.mixed_aperture,
     )
+
+
+def _vignetting(settings: MergeSettings) -> Vignetting | None:
+    if settings.flat_field is not None:
+        from calibrate.lens import measure_vignetting
+        from envcal.raw import read_frame
+
+        info, mosaic = read_frame(settings.flat_field)
+        return measure_vignetting(mosaic, info)
+    given = settings.vignetting
+    if given is None:
+        return None
+    first, second, third = given
+    if isinstance(first, tuple) and isinstance(second, tuple) and isinstance(third, tuple):
+        return first, second, third
+    assert not (isinstance(first, tuple) or isinstance(second, tuple) or isinstance(third, tuple))
+    return ((first, second, third),) * 3
 
 
 def _placed(

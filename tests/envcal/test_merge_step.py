@@ -155,3 +155,37 @@ def test_a_described_frame_keeps_its_counts(tmp_path: Path) -> None:
     changed = frame.described(exposure_s=Fraction(3))
     assert changed.info == dataclasses.replace(frame.info, exposure_s=Fraction(3))
     assert changed.mosaic() is frame.mosaic()
+
+
+def test_the_fall_off_of_the_lens_is_taken_out_from_settings_or_a_flat_field(tmp_path: Path) -> None:
+    y, x = np.mgrid[0:128, 0:200] + 0.5
+    r2 = ((y - 64) ** 2 + (x - 100) ** 2) / (64**2 + 100**2)
+    fall = (1 - 0.5 * r2 + 0.1 * r2**2)[..., None] * np.ones(3)
+    (tmp_path / "shots").mkdir()
+    frames = []
+    for n, time in enumerate(TIMES):
+        frames.append(tmp_path / "shots" / f"{n}.dng")
+        data = encode_dng(expose(2.0 * fall, time, camera=CAMERA, frame=n), time, camera=CAMERA, neutral=np.ones(3))
+        frames[-1].write_bytes(data)
+    flat = tmp_path / "flat.dng"
+    flat.write_bytes(
+        encode_dng(
+            expose(fall, Fraction(1, 2), camera=CAMERA, frame=9), Fraction(1, 2), camera=CAMERA, neutral=np.ones(3)
+        )
+    )
+    out = tmp_path / "o.exr"
+    for settings in (
+        MergeSettings(vignetting=(-0.5, 0.1, 0.0)),
+        MergeSettings(vignetting=((-0.5, 0.1, 0.0),) * 3),
+        MergeSettings(flat_field=flat),
+    ):
+        outcome = merge(frames, out, settings)
+        _, image = exr.read_rgb(out)
+        corners = image[[0, 0, -9, -9], [0, -9, 0, -9]]
+        assert corners == pytest.approx(2.0, rel=0.03)
+        assert np.mean(image[:8, :8]) == pytest.approx(2.0, rel=0.01)
+        assert outcome.figures["vignetting"] is not None
+    merge(frames, out, MergeSettings())
+    assert np.mean(exr.read_rgb(out)[1][:8, :8]) < 1.4
+    with pytest.raises(ValueError, match="not both"):
+        MergeSettings(vignetting=(0.0, 0.0, 0.0), flat_field=flat)
