@@ -28,7 +28,7 @@ def relative(values: npt.NDArray[np.float64], truth: npt.NDArray[np.float64]) ->
     return ratio / np.median(ratio) - 1
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)])
 def test_faults_of_a_capture_are_measured_to_what_the_merge_needs(seed: int) -> None:
     rng = np.random.default_rng(seed)
     true = 2 ** rng.uniform(-1 / 3, 1 / 3, len(TIMES))
@@ -51,7 +51,7 @@ def test_faults_of_a_capture_are_measured_to_what_the_merge_needs(seed: int) -> 
     assert measured.noise.read_noise_e == pytest.approx(np.hypot(read, gain * 12**-0.5), rel=0.1)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
 def test_a_capture_without_faults_is_left_as_it_is(seed: int) -> None:
     measured = measure_bracket(photograph(scene(SHAPE, seed=seed), seed=seed), Asked())
     # What is applied by chance is too small to matter.
@@ -61,6 +61,7 @@ def test_a_capture_without_faults_is_left_as_it_is(seed: int) -> None:
     assert measured.warnings == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_measuring_makes_no_capture_worse_that_had_no_faults(seed: int) -> None:
     radiance = scene(SHAPE, seed=seed)
@@ -306,7 +307,7 @@ def ideal(frames: Any, radiance: Any, *, true: Any, blacks: Any, clips: Any, gai
         return above / below
 
 
-@pytest.mark.parametrize("seed", [21, 22])
+@pytest.mark.parametrize("seed", [21, pytest.param(22, marks=pytest.mark.slow)])
 def test_a_faulty_capture_is_merged_as_well_as_by_one_who_knows_all(seed: int) -> None:
     rng = np.random.default_rng(seed)
     true = 2 ** rng.uniform(-1 / 3, 1 / 3, len(TIMES))
