@@ -80,12 +80,22 @@ def find_chart(
             f"{largest_score:g}. Name the right edition in `correct.reference`, or give the four corners of the patches in "
             "`correct.chart`."
         )
+    if view is None and not _inside(project(image_from_chart(candidate.corners), patch_quads()), pixels.shape[:2]):
+        raise CalibrateError(
+            f"correct.chart: the chart at {where} reaches beyond the image of {pixels.shape[1]}×{pixels.shape[0]} pixels; all 24 "
+            "patches must be in view. Photograph it again with all of it in the picture."
+        )
     if candidate.mirrored:
         raise CalibrateError(
             f"correct.chart: the chart at {where} is mirrored: its patches run "
             "anticlockwise from 'dark skin'. Flip the image back (a mirror ball or a mirrored export shows the scene mirrored)."
         )
     return _record(candidate, view)
+
+
+def _inside(points: npt.NDArray[np.float64], size: tuple[int, int]) -> bool:
+    """Whether points [..., 2] lie within an image of `size` (H, W)."""
+    return bool((points >= -0.5).all() and (points <= np.array([size[1], size[0]]) - 0.5).all())
 
 
 def _record(candidate: Candidate, view: View | None) -> ChartFound:
