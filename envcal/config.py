@@ -108,17 +108,71 @@ class CaptureSettings(Settings):
     reference itself is the map."""
 
 
+Level = Annotated[float, Field(gt=0, le=65_535)]
+Seconds = Annotated[float, Field(gt=0, le=100_000)]
+Transmission = Annotated[float, Field(gt=0, le=1)]
+Radiance = Annotated[float, Field(ge=0, le=1e12)]
+Power = Annotated[float, Field(ge=-20, le=20)]
+Powers = tuple[Power, Power, Power]
+
+
 class MergeSettings(Settings):
     """RAW bracket → radiance in camera RGB."""
 
-    gain_e_per_dn: Annotated[float, Field(gt=0, le=1000)] | None = None
-    """Electrons per raw count. Left out: guessed from the levels and ISO; it only ranks the weights of the frames."""
-    read_noise_e: Annotated[float, Field(gt=0, le=1000)] | None = None
-    """Read noise in electrons. Left out: 3."""
+    white_level: Literal["data", "file"] | Level = "data"
+    """Where samples count as clipped: `data`, on the plateau that the clipped samples of the longest frame make, never
+    above the file's level; `file`; or a number of raw counts."""
+    black_level: Literal["data", "file"] = "data"
+    """`data`: from masked photosites, else from the bracket itself, where they are sure; `file`: as the files say."""
+    dark_frame: Path | None = None
+    """A RAW frame taken under the lens cap; its levels are black."""
+    exposure_ratios: Literal["data", "file"] = "data"
+    """`data`: the light of each frame is fitted to the pixels where that is sure to 0.3 %; `file`: times are believed."""
+    exposures: dict[str, Seconds] = {}
+    """Name of a frame's file → its true exposure in seconds, where the file is wrong."""
+    filters: dict[str, Transmission | tuple[Transmission, Transmission, Transmission]] = {}
+    """Name of a frame's file → share of the light that a grey filter lets through: one number, or red, green and blue."""
     mixed_iso: bool = False
     """Let the frames of a bracket differ in ISO; radiance is then in units of the lowest."""
+    mixed_aperture: bool = False
+    """Let the frames differ in aperture; radiance is then in units of the smallest opening."""
+    gain_e_per_dn: Annotated[float, Field(gt=0, le=1000)] | None = None
+    """Electrons per raw count at the lowest ISO. Left out: measured on the bracket, or guessed from levels and ISO."""
+    read_noise_e: Annotated[float, Field(gt=0, le=1000)] | None = None
+    """Read noise in electrons. Left out: measured on the bracket, or 3."""
+    deviation: bool = False
+    """Write the standard deviation of every sample too."""
+    align: bool = False
+    """Find frames that were not taken from quite the same place, and shift them; a set from a tripod stays as it is. Bayer
+    and monochrome frames."""
+    deghost: bool = False
+    """Leave frames out where something moved in them, as far as noise does not explain the difference. Bayer and monochrome
+    frames."""
     defects: bool = True
     """Replace hot and dead photosites by their neighbours of the same colour."""
+    demosaic: Literal["edges", "malvar"] = "edges"
+    """`edges`: along edges, in a logarithmic scale, which leaves no coloured rims around lamps; `malvar`: linear filters,
+    faster. Bayer mosaics only."""
+    lost: Literal["none", "neighbour"] | tuple[Radiance, Radiance, Radiance] = "none"
+    """What stands where every frame is clipped: nothing (NaN), the colour of the neighbours at the smallest radiance
+    that explains the clipping, or a declared camera RGB, such as the sun's."""
+
+    vignetting: Powers | tuple[Powers, Powers, Powers] | None = None
+    """The lens's fall-off 1 + k1 r² + k2 r⁴ + k3 r⁶, r being 1 in the corners: k1, k2, k3, or three of each for red, green
+    and blue."""
+    flat_field: Path | None = None
+    """A RAW frame of an evenly bright surface with the same lens and aperture; the fall-off is measured on it."""
+
+    @property
+    def files(self) -> list[Path]:
+        """The files that are read besides the frames."""
+        return [path for path in (self.dark_frame, self.flat_field) if path is not None]
+
+    @model_validator(mode="after")
+    def _one_fall_off(self) -> MergeSettings:
+        if self.vignetting is not None and self.flat_field is not None:
+            raise ValueError("give either `vignetting` or `flat_field`; not both")
+        return self
 
 
 class CorrectSettings(Settings):
@@ -131,8 +185,14 @@ class CorrectSettings(Settings):
         "ColorChecker24 - After November 2014"
     )
     """The published data of the chart's patches."""
-    fit: Literal["linear", "white-preserving"] = "linear"
-    """3×3 matrix by least squares, or the same with a white met exactly."""
+    patches: Path | None = None
+    """The chart's own patches as measured: CSV or CGATS (.ti3) with XYZ, L*a*b* or reflectances of 24 patches, row by row
+    from dark skin. Takes the place of `reference`."""
+    fit: Literal["linear", "white-preserving", "root-polynomial", "auto"] = "linear"
+    """3×3 matrix by least squares, the same with a white met exactly, a root-polynomial of degree 2, or `auto`: that or
+    the 3×3 matrix, whichever predicts patches it has not seen better."""
+    spoilt: Literal["leave out", "keep"] = "leave out"
+    """Whether patches with glare or dirt, which the others' fit misses by far, are left out of the fit."""
     white: Literal["patch", "neutrals"] = "patch"
     """The white that a white-preserving fit meets: the white patch, or the mean of the six neutral ones."""
     weighting: Literal["linear", "lightness"] = "linear"
@@ -160,14 +220,17 @@ class BalanceSettings(Settings):
 
     lamp: Literal["auto"] | LampRectangle | LampOnChart = "auto"
     """`auto`, or where the D65 module is."""
+    spectrum: Path | None = None
+    """CSV of the lamp's own measured spectrum: wavelength in nm, value; one line each. Left out: the lamp is D65."""
+    camera: str | None = None
+    """The camera's spectral sensitivities: a file (CSV, or JSON as of rawtoaces) or a name that colour-science knows. The
+    lamp is then balanced in camera RGB, the matrix comes from the sensitivities instead of from the chart (`correct.fit`
+    has to be linear), and the chart measures its light's spectrum with them; left out, that fits the camera along."""
     transform: Literal["CAT16", "Bradford", "CAT02", "Von Kries", "XYZ Scaling", "RGB"] = "CAT16"
     """The cone space in which the gains act."""
     luminance: Literal["lamp", "keep"] = "lamp"
     """`lamp`: the lamp reads exactly as D65 of luminance 1, which is (1, 1, 1) where the working space's white is D65.
     `keep`: only its colour becomes that of D65; 1 stays a white diffuser at the chart."""
-    camera: str | None = None
-    """The camera's spectral sensitivities, with which the chart measures its light's spectrum: a file (CSV, or JSON as of
-    rawtoaces) or a name that colour-science knows. Left out: unknown, and fitted together with the light."""
 
 
 class PanoramaSettings(Settings):
@@ -550,18 +613,13 @@ def _resolve(path: Path, tree: Any, settings: Pipeline) -> Loaded:
             environments[name] = frames(patterns, ("capture", "environment", name))
     elif capture.environment is not None:
         environments["environment"] = frames(capture.environment, ("capture", "environment"))
-    owned: dict[str, Path] = {}
-    for name in ("library", "sky_model"):
-        value = getattr(settings.cluster, name)
-        if value is None:
-            continue
-        owned[name] = folder / value
-        if not (owned[name].is_dir() if name == "library" else owned[name].is_file()):
-            what = "folder" if name == "library" else "file"
-            mistakes.append(
-                f"{path}:{_line(tree, ('cluster', name))}: cluster.{name}: there is no {what} {owned[name]}. Correct the path."
-            )
-            del owned[name]
+    absent = _absent_files(path, tree, settings)
+    mistakes += absent.values()
+    owned = {
+        name: folder / value
+        for name in ("library", "sky_model")
+        if (value := getattr(settings.cluster, name)) is not None and ("cluster", name) not in absent
+    }
     library = owned.get("library")
     settings = settings.model_copy(update={"cluster": settings.cluster.model_copy(update=dict(owned))})
     lights = []
@@ -583,6 +641,28 @@ def _resolve(path: Path, tree: Any, settings: Pipeline) -> Loaded:
     if mistakes:
         raise EnvcalError("\n".join(mistakes))
     return Loaded(path, settings, folder / settings.output, reference, environments, tuple(lights))
+
+
+def _absent_files(path: Path, tree: Any, settings: Pipeline) -> dict[tuple[str, str], str]:
+    """Mistakes for files and folders that the settings name and that do not exist, by the place of the setting."""
+    folder, out = path.resolve().parent, {}
+    named = (
+        ("merge", "dark_frame", settings.merge.dark_frame),
+        ("merge", "flat_field", settings.merge.flat_field),
+        ("correct", "patches", settings.correct.patches),
+        ("balance", "spectrum", settings.balance.spectrum),
+        ("cluster", "library", settings.cluster.library),
+        ("cluster", "sky_model", settings.cluster.sky_model),
+    )
+    for stage, key, value in named:
+        if value is None:
+            continue
+        what = "folder" if key == "library" else "file"
+        if not ((folder / value).is_dir() if key == "library" else (folder / value).is_file()):
+            out[stage, key] = (
+                f"{path}:{_line(tree, (stage, key))}: {stage}.{key}: there is no {what} {folder / value}. Correct the path."
+            )
+    return out
 
 
 def _camera_mistakes(path: Path, tree: Any, camera: str | None, folder: Path) -> list[str]:

@@ -1,7 +1,7 @@
 """The calibration profile: what was learned on the reference shot, to be applied to other shots of the same camera.
 
 One JSON file. `correct` finds the chart and starts it, `balance` finds the lamp and completes it. Applying it is one
-3×3 matrix: camera RGB → working RGB whose (1, 1, 1) is the D65 lamp.
+3×3 matrix (and root terms, where such a fit was asked for): camera RGB → working RGB whose (1, 1, 1) is the D65 lamp.
 """
 
 from __future__ import annotations
@@ -45,6 +45,8 @@ class Patch(_Part):
     pixels: int
     light: float
     """Light on the patch; the geometric mean over the chart is 1."""
+    left_out: bool = False
+    """Whether it was spoilt, and has no part in the fit."""
     target_rgb: Row
     """Published colour under D65 in linear working RGB."""
     fitted_rgb: Row
@@ -63,8 +65,10 @@ class Chart(_Part):
     """Pixels of the reference shot: top left (dark skin), top right, bottom right, bottom left."""
     quads: list[list[tuple[float, float]]]
     """The sampled part of each patch."""
-    cost: float | None
-    """Cost of the detector; None for corners from the settings."""
+    cost: float | None = None
+    """Of the detector, in profiles of earlier versions."""
+    score: float | None = None
+    """Mean CIEDE2000 by which the chart was known; None for corners from the settings."""
     fit: str
     patches: list[Patch]
 
@@ -80,9 +84,14 @@ class Lamp(_Part):
     """Working RGB before the balance."""
     noise: Row
     transform: str
+    """Cone space, or `camera RGB` where the camera's sensitivities were given."""
     luminance: str
     cone_gains: Row
-    """Gains along the axes of the cone space."""
+    """Gains along the axes of that space."""
+    spectrum: str | None = None
+    """File of the lamp's measured spectrum; None: D65."""
+    camera: str | None = None
+    """Sensitivities the matrix comes from; None: from the chart."""
 
 
 class ChartLight(_Part):
@@ -119,7 +128,7 @@ class Profile(_Part):
     """Camera RGB → working RGB, and how it was found."""
 
     format: Literal[1, 2] = 2
-    """2 may hold `light`; 1 is read too."""
+    """1, which has neither root terms nor the chart's light, is read too."""
     envcal: str = __version__
     working_space: str
     camera: Camera
@@ -130,12 +139,19 @@ class Profile(_Part):
     chart: Chart
     matrix: Matrix
     """Working RGB from camera RGB; 1 is a perfect white diffuser at the chart."""
+    root_terms: Matrix | None = None
+    """Working RGB from √rg, √gb, √br of camera RGB, to be added to that from r, g, b; None for a linear fit."""
     lamp: Lamp | None = None
     balance_matrix: Matrix | None = None
     """Balanced working RGB from working RGB; (1, 1, 1) is the lamp."""
     light: ChartLight | None = None
     """The light on the chart; null if it was not measured."""
     warnings: list[str] = Field(default_factory=list)
+
+    def full_matrix(self) -> npt.NDArray[np.float64]:
+        """The chart's matrix [3, 3], or [3, 6] with root terms, as `calibrate.correct.apply_matrix` takes it."""
+        linear = np.asarray(self.matrix, np.float64)
+        return linear if self.root_terms is None else np.hstack([linear, np.asarray(self.root_terms, np.float64)])
 
     def delta_e(self) -> dict[str, float]:
         """Mean and largest CIEDE2000 of the patches, fitted and left out."""

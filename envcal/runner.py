@@ -60,8 +60,9 @@ class Stage:
     """A row of the table: what the stage reads, writes and depends on.
 
     `inputs` and `outputs` are names below the output folder; `{shot}` stands for every shot, `{map}` for the shots
-    of the environment, `{frames}` for all RAW frames, `{spectra}` for measured spectra and further profiles that the
-    settings name, `{camera}` for the file of the camera's sensitivities.
+    of the environment, `{frames}` for all RAW frames, `{darkroom}` for the dark frame and the flat field, `{chart}` and `{lamp}`
+    for the files that `correct` and `balance` name, and `{spectra}` for measured spectra and further profiles that the
+    settings name.
     `settings` names the parts of the settings on which the result depends.
     """
 
@@ -79,15 +80,22 @@ def expand(names: Sequence[str], run: Run) -> list[Path]:
     for name in names:
         if name == "{frames}":
             paths += [frame for frames in loaded.shots.values() for frame in frames]
+        elif name == "{darkroom}":
+            paths += [loaded.path.parent / path for path in loaded.settings.merge.files]
+        elif name == "{chart}":
+            patches = loaded.settings.correct.patches
+            paths += [] if patches is None else [loaded.path.parent / patches]
+        elif name == "{lamp}":
+            balance = loaded.settings.balance
+            named = [loaded.path.parent / path for path in (balance.spectrum, balance.camera) if path is not None]
+            # A camera may also be a name.
+            paths += [path for path in named if path.is_file()]
         elif name == "{spectra}":
             paths += [light.spd for light in loaded.lights if light.spd is not None]
             library, sky_model = loaded.settings.cluster.library, loaded.settings.cluster.sky_model
             paths += [] if library is None else in_library(library)
             paths += [] if sky_model is None else [sky_model]
             paths += [loaded.folder / name for name in loaded.settings.cluster.profiles]
-        elif name == "{camera}":
-            camera = loaded.settings.balance.camera
-            paths += [] if camera is None or not (loaded.folder / camera).is_file() else [loaded.folder / camera]
         elif "{shot}" in name:
             paths += [run.path(name.format(shot=shot)) for shot in loaded.shots]
         elif "{map}" in name:

@@ -8,9 +8,10 @@ from envcal.runner import Outcome, Run, Stage, map_shots
 
 
 def _merge(run: Run) -> Outcome:
-    from envcal.steps.merge import merge
+    from envcal.steps.merge import merge, refuse_unknown_names, rooted
 
-    settings = run.loaded.settings.merge
+    settings = rooted(run.loaded.settings.merge, run.loaded.path.parent)
+    refuse_unknown_names(settings, run.loaded.shots)
     return _each(
         run,
         run.loaded.shots,
@@ -24,7 +25,12 @@ def _correct(run: Run) -> Outcome:
     from envcal.steps.correct import calibrate_on_chart, correct
 
     settings = run.loaded.settings.correct
-    profile = calibrate_on_chart(run.path("merge/reference.exr"), settings, run.loaded.settings.working_space)
+    profile = calibrate_on_chart(
+        run.path("merge/reference.exr"),
+        settings,
+        run.loaded.settings.working_space,
+        folder=run.loaded.path.resolve().parent,
+    )
     profile.write(run.path("correct/profile.json"))
     outcome = _each(
         run,
@@ -38,7 +44,7 @@ def _balance(run: Run) -> Outcome:
     from envcal.steps.balance import balance, calibrate_on_lamp
 
     settings = run.loaded.settings.balance
-    profile = calibrate_on_lamp(run.path("correct/reference.exr"), settings, run.loaded.folder)
+    profile = calibrate_on_lamp(run.path("correct/reference.exr"), settings, folder=run.loaded.folder)
     profile.write(run.path("balance/profile.json"))
     outcome = _each(
         run,
@@ -114,7 +120,7 @@ STAGES: tuple[Stage, ...] = (
         name="merge",
         light="RAW bracket → radiance in camera RGB",
         settings=("merge",),
-        inputs=("{frames}",),
+        inputs=("{frames}", "{darkroom}"),
         outputs=("merge/{shot}.exr",),
         work=_merge,
     ),
@@ -122,7 +128,7 @@ STAGES: tuple[Stage, ...] = (
         name="correct",
         light="chart found in the reference shot → camera to working RGB, applied to every shot",
         settings=("correct", "working_space"),
-        inputs=("merge/{shot}.exr",),
+        inputs=("merge/{shot}.exr", "{chart}"),
         outputs=("correct/{shot}.exr", "correct/profile.json"),
         work=_correct,
     ),
@@ -130,7 +136,7 @@ STAGES: tuple[Stage, ...] = (
         name="balance",
         light="lamp of known spectrum found in the reference shot → von Kries, applied to every shot",
         settings=("balance",),
-        inputs=("correct/{shot}.exr", "{camera}"),
+        inputs=("correct/{shot}.exr", "{lamp}"),
         outputs=("balance/{shot}.exr", "balance/profile.json"),
         work=_balance,
     ),

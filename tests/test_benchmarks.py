@@ -139,3 +139,13 @@ def test_the_lights_benchmark_knows_the_truth_of_its_rooms():
     same = rooms.relight(scene.spectra, scene.spectra, context.reflectances, observer=EYES, space=WIDE)
     assert same == 0.0
     assert rooms.scaled_error(scene, context.reflectances, observer=EYES, space=WIDE) > 0.1
+
+
+def test_the_chart_benchmark_counts_what_is_found_and_what_is_not_there(capsys, tmp_path, monkeypatch):
+    monkeypatch.delenv("ENVCAL_DATA", raising=False)
+    arguments = ["chart", "--first", "5", "--with", "1", "--without", "1", "--maps", "0", "--json", f"{tmp_path}/f"]
+    assert program.main(arguments) == 0
+    shown = capsys.readouterr().out
+    assert "pictures with a chart: 1 of 1 found" in shown and "0 false charts in 1" in shown and "skipped" in shown
+    figures = json.loads((tmp_path / "f").read_text())
+    assert figures["pictures"]["found"] == 1 and figures["without"]["false"] == {}

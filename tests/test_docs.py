@@ -268,7 +268,7 @@ def made_up_profile():
         found="settings",
         corners=[(1, 1), (9, 1), (9, 6), (1, 6)],
         quads=[],
-        cost=None,
+        score=None,
         fit="linear",
         patches=[patch],
     )

@@ -3,7 +3,13 @@
 from calibrate.chart.detect import find_chart
 from calibrate.chart.geometry import ChartFound, chart_from_corners
 from calibrate.chart.patches import Patches, measure_patches
-from calibrate.chart.reference import AFTER_2014, REFERENCE_NAMES, ChartReference, chart_reference
+from calibrate.chart.reference import (
+    AFTER_2014,
+    REFERENCE_NAMES,
+    ChartReference,
+    chart_reference,
+    measured_reference,
+)
 
 __all__ = [
     "AFTER_2014",
@@ -15,4 +21,5 @@ __all__ = [
     "chart_reference",
     "find_chart",
     "measure_patches",
+    "measured_reference",
 ]

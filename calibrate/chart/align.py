@@ -1,11 +1,13 @@
-"""Drawing a chart's box to the edges of its patches.
+"""Drawing a chart's box to its patches.
 
+First by the middles of the flat zones that its patches are. Where the picture is sharp enough, then by its edges:
 The chart is flattened with the box at hand and compared with a drawing of itself: patches of the levels just read, dark
 gaps between them. The homography that makes both agree best (G. D. Evangelidis and E. Z. Psarakis, "Parametric Image
 Alignment Using Enhanced Correlation Coefficient Maximization", 2008), coarsely first, corrects the box to a fraction
 of a pixel; a detector's box is off by a tenth of a patch or two.
 """
 
+from collections.abc import Iterator
 from typing import Final
 
 import cv2
@@ -15,6 +17,7 @@ import numpy.typing as npt
 from calibrate.chart.geometry import (
     BOX_HEIGHT,
     BOX_WIDTH,
+    PATCH_WIDTH,
     box_corners,
     image_from_chart,
     patch_quads,
@@ -22,11 +25,18 @@ from calibrate.chart.geometry import (
     signed_area,
 )
 from calibrate.chart.judge import glance, unevenness
+from calibrate.chart.lattice import refined
+from calibrate.chart.zones import flat_zones, relative_logarithm
 
 # Pixels a chart unit in the two flattened charts: a patch is 10, then 40 pixels wide.
 _UNITS_PX: Final = (4, 16)
 # Where the given box was good already, both scatter by noise alone.
 _SCATTER_ALLOWED: Final = 1.05
+# By so much must a later way make the patches scatter less than an earlier one.
+_GAIN: Final = 0.95
+# Size of a patch in the picture whose zones are looked at, and how far it is enlarged for that.
+_SNAPPED_PATCH_PX: Final = 36.0
+_LARGEST_ZOOM: Final = 4.0
 # How much of its place a patch fills: the Classic, then smaller editions, whose gaps are wider.
 _PATCH_PARTS: Final = (1.0, 0.86)
 # The part of the frame that is compared too, in chart units; the dark frame of every edition reaches farther.
@@ -36,10 +46,50 @@ _FARTHEST: Final = 1.25
 
 
 def align(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
-    """Return the corners [4, 2] for which a drawing of the chart covers the chart in `image` best.
+    """Return the corners [4, 2] for which the patches are where the box says.
 
-    None if the alignment does not converge, slips by half a patch, or if the patches scatter notably more afterwards.
+    First the middles of the flat zones (`refined`), then the drawing; each is taken where patches scatter less than before.
+    None if neither finds the patches.
     """
+    own = signed_area(corners) < 0
+    box = corners[::-1] if own else corners
+    best, scatter = box, unevenness(image, box)
+    found = False
+    # In the order of trust: what comes later must be clearly better. Noise and the freedom to shift within the gaps make
+    # the scatter a poor judge of small differences.
+    for moved in _snapped(image, box):
+        spread = unevenness(image, moved)
+        if spread < (_GAIN if found else _SCATTER_ALLOWED) * scatter:
+            best, scatter, found = moved, spread, True
+    drawn = _drawn(image, best)
+    if drawn is not None:
+        spread = unevenness(image, drawn)
+        if spread < (_GAIN if found else _SCATTER_ALLOWED) * scatter:
+            best, found = drawn, True
+    if not found:
+        return None
+    return best[::-1] if own else best
+
+
+def _snapped(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> Iterator[npt.NDArray[np.float64]]:
+    """Yield boxes through the middles of the flat zones: of all thresholds, then of each."""
+    part, local, offset = _cropped(image, corners)
+    patch_px = np.sqrt(abs(signed_area(corners)) / (BOX_WIDTH * BOX_HEIGHT)) * PATCH_WIDTH
+    zoom = min(_LARGEST_ZOOM, _SNAPPED_PATCH_PX / patch_px)
+    seen = relative_logarithm(part)
+    method = cv2.INTER_AREA if zoom < 1 else cv2.INTER_CUBIC
+    seen = np.asarray(cv2.resize(seen, None, fx=zoom, fy=zoom, interpolation=method), dtype=np.float32)
+    area = (patch_px * zoom) ** 2
+    zones = flat_zones(seen, smallest=0.02 * area, largest=4 * area)
+    zoomed = (local + 0.5) * zoom - 0.5
+    for several in (zones, *([one] for one in zones)):
+        moved = refined(zoomed, several)
+        if moved is not zoomed:
+            yield (moved + 0.5) / zoom - 0.5 + offset
+
+
+def _drawn(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
+    """Return the corners for which a drawing of the chart covers the chart best; None if that slips or fails."""
     limit = _FARTHEST * np.sqrt(abs(signed_area(corners)) / (BOX_WIDTH * BOX_HEIGHT))
     scatter = unevenness(image, corners)
     for part in _PATCH_PARTS:

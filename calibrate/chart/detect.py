@@ -1,11 +1,11 @@
 """Finding the ColorChecker in a picture or in a lat-long map.
 
-A picture is searched at a few sizes, a map in perspective views: around what looks like a chart in the flat map, then all
-round, and once more with the chart in the middle of the view. The best fit of all attempts counts; an excellent one ends
-the search.
+A picture is searched at a few sizes, coarse to fine; a map first as it is, then in perspective views all round, poles
+included, and whatever is found once more in the middle of a view of its own. The best fit counts; an excellent one
+ends the search.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Final
 
 import cv2
@@ -13,30 +13,29 @@ import numpy as np
 import numpy.typing as npt
 
 from calibrate import CalibrateError
-from calibrate.chart.attempts import (
-    SMALL_LOSS,
-    TURNS,
-    WORTH_ALIGNING,
-    Candidate,
-    aligned_and_judged,
-    attempts_on,
-    better,
-)
 from calibrate.chart.geometry import ChartFound, box_outline, image_from_chart, patch_quads, project
 from calibrate.chart.judge import LARGEST_SCORE
 from calibrate.chart.reference import ChartReference, chart_reference
+from calibrate.chart.search import (
+    SMALL_LOSS,
+    WORTH_ALIGNING,
+    Candidate,
+    aligned_and_judged,
+    better,
+    candidates,
+    scales,
+)
 from calibrate.chart.views import View, angular_extent, view_at, yaw_pitch
 
-# A chart that is found, but fits less well (a developed photograph, uneven light), is looked at so many times.
-_ENOUGH_ATTEMPTS: Final = 4
-_LONG_SIDES: Final = (1800, 1000)
-_VIEW_SIDE: Final = 640
+_VIEW_SIDES: Final = (640, 1280)
 _VIEW_FIELD: Final = np.radians(90.0)
 # Rows of views (pitch in degrees, views): the horizon first, then downwards (charts stand on tables and floors), then
-# upwards. Neighbours overlap by 30° or so: a chart that is larger is found in the flat map.
-_VIEW_ROWS: Final = ((0.0, 6), (-45.0, 5), (45.0, 5))
+# upwards, and the poles. Neighbours overlap by 30° or so.
+_VIEW_ROWS: Final = ((0.0, 6), (-45.0, 5), (45.0, 5), (-90.0, 1), (90.0, 1))
 # How many candidates that fit, but not excellently, are worth the time of a closer look.
-_CLOSER_LOOKS: Final = 4
+_CLOSER_LOOKS: Final = 6
+# A view of a map is searched as it is and enlarged: a chart 10° wide in a map of 1280 has patches of 5 pixels.
+_VIEW_SCALES: Final = (1.0, 2.0)
 # A map is reduced to this width for the views; a chart that is lost by that is too small to be measured anyway.
 _WIDEST_MAP: Final = 4096
 
@@ -69,7 +68,7 @@ def find_chart(
     candidate, view = found
     if candidate is None:
         raise CalibrateError(
-            "correct.chart: no ColorChecker found at any exposure and size; expected one with 24 patches in full view. "
+            "correct.chart: no ColorChecker found at any size; expected one with 24 patches in full view. "
             "Photograph it larger, sharper and evenly lit, or give the four corners of its patches in `correct.chart`."
         )
     place = candidate.corners if view is None else view.map_points(candidate.corners)
@@ -81,12 +80,22 @@ def find_chart(
             f"{largest_score:g}. Name the right edition in `correct.reference`, or give the four corners of the patches in "
             "`correct.chart`."
         )
+    if view is None and not _inside(project(image_from_chart(candidate.corners), patch_quads()), pixels.shape[:2]):
+        raise CalibrateError(
+            f"correct.chart: the chart at {where} reaches beyond the image of {pixels.shape[1]}×{pixels.shape[0]} pixels; all 24 "
+            "patches must be in view. Photograph it again with all of it in the picture."
+        )
     if candidate.mirrored:
         raise CalibrateError(
             f"correct.chart: the chart at {where} is mirrored: its patches run "
             "anticlockwise from 'dark skin'. Flip the image back (a mirror ball or a mirrored export shows the scene mirrored)."
         )
     return _record(candidate, view)
+
+
+def _inside(points: npt.NDArray[np.float64], size: tuple[int, int]) -> bool:
+    """Whether points [..., 2] lie within an image of `size` (H, W)."""
+    return bool((points >= -0.5).all() and (points <= np.array([size[1], size[0]]) - 0.5).all())
 
 
 def _record(candidate: Candidate, view: View | None) -> ChartFound:
@@ -105,25 +114,20 @@ def _record(candidate: Candidate, view: View | None) -> ChartFound:
         corners=corners,
         quads=quads,
         outline=outline,
-        cost=candidate.cost,
         score=candidate.score,
         warnings=warnings,
     )
 
 
 def _search_picture(image: npt.NDArray[np.float32], reference: ChartReference) -> tuple[Candidate | None, View | None]:
-    long_side = max(image.shape[:2])
-    sides = [side for side in _LONG_SIDES if side < 0.85 * long_side] + [long_side]
     best: Candidate | None = None
-    for side in sides:
-        # Large pictures are slow; what two smaller sizes at every turn did not show gets one round.
-        rounds = len(TURNS) if side <= _LONG_SIDES[0] else 1
-        since = 0
-        for candidate in attempts_on(image, reference, side / long_side, rounds=rounds):
+    for scale in scales(image.shape[:2]):
+        for candidate in candidates(image, reference, scale):
             best = better(best, candidate)
-            since += best.acceptable
-            if best.excellent or since >= _ENOUGH_ATTEMPTS:
+            if best.excellent:
                 return best, None
+        if best is not None and best.acceptable and not best.mirrored:
+            return best, None
     return best, None
 
 
@@ -138,55 +142,63 @@ def _search_map(
     best: Candidate | None = None
     best_view: View | None = None
     closer_looks = 0
-    for view in _views(reduced, reference):
-        for candidate in attempts_on(view.render(reduced), reference, 1.0, exposures=3, rounds=1):
-            if best is not None and candidate.rank >= best.rank:
-                continue
-            best, best_view = candidate, View(view.axes, view.side, view.focal_px, full)
-            if best.score <= LARGEST_SCORE and closer_looks < _CLOSER_LOOKS:
-                closer_looks += 1
-                best, best_view = _closer(environment, best, best_view, reference)
-            if best.excellent:
-                return best, best_view
+    for view, candidate in _map_candidates(reduced, reference):
+        if best is not None and candidate.rank >= best.rank:
+            continue
+        found, at = candidate, View(view.axes, view.side, view.focal_px, full)
+        if candidate.score <= WORTH_ALIGNING and closer_looks < _CLOSER_LOOKS:
+            closer_looks += 1
+            found, at = _closer(environment, candidate, at, reference)
+        if better(best, found) is found:
+            best, best_view = found, at
+        if best is not None and best.excellent:
+            break
     return best, best_view
 
 
-def _closer(
-    environment: npt.NDArray[np.float32], best: Candidate, best_view: View, reference: ChartReference
-) -> tuple[Candidate, View]:
-    """Look once more with the chart in the middle: less stretched, as large as useful, in the full map."""
-    on_map = best_view.map_points(best.corners)
-    view = _view_around(on_map, best_view.map_size)
-    shown = view.render(environment)
-    closest = aligned_and_judged(shown, _view_points(view, on_map), best.cost, reference)
-    attempts: Iterable[Candidate] = () if closest.excellent else attempts_on(shown, reference, 1.0, rounds=2)
-    since = 0
-    for candidate in attempts:
-        closest = better(closest, candidate)
-        since += closest.acceptable
-        if closest.excellent or since >= _ENOUGH_ATTEMPTS:
-            break
-    return (closest, view) if closest.rank <= best.rank + SMALL_LOSS else (best, best_view)
-
-
-def _views(environment: npt.NDArray[np.float32], reference: ChartReference) -> Iterator[View]:
-    """Yield the views to search: around what looks like a chart in the flat map, then all round."""
+def _map_candidates(
+    environment: npt.NDArray[np.float32], reference: ChartReference
+) -> Iterator[tuple[View, Candidate]]:
+    """Yield candidates with the view they were seen in: what the flat map shows, then views all round."""
     size = environment.shape[:2]
-    long_side = max(size)
-    for candidate in attempts_on(environment, reference, min(1.0, _LONG_SIDES[0] / long_side), exposures=3, rounds=2):
-        if candidate.score <= WORTH_ALIGNING:
-            yield _view_around(candidate.corners, size)
+    for scale in scales(size):
+        for candidate in candidates(environment, reference, scale):
+            if candidate.score <= WORTH_ALIGNING:
+                view = _view_around(candidate.corners, size)
+                local = _view_points(view, candidate.corners)
+                yield view, aligned_and_judged(view.render(environment), local, reference)
+    side = int(np.clip(size[1] // 2, *_VIEW_SIDES))
     for pitch, count in _VIEW_ROWS:
         for step in range(count):
             # From the middle of the map outwards to both sides.
             yaw = 2 * np.pi / count * ((step + 1) // 2) * (1 if step % 2 else -1)
-            yield view_at(yaw, np.radians(pitch), field_of_view=_VIEW_FIELD, side=_VIEW_SIDE, map_size=size)
+            view = view_at(yaw, np.radians(pitch), field_of_view=_VIEW_FIELD, side=side, map_size=size)
+            shown = view.render(environment)
+            for scale in _VIEW_SCALES:
+                for candidate in candidates(shown, reference, scale):
+                    yield view, candidate
+
+
+def _closer(
+    environment: npt.NDArray[np.float32], found: Candidate, view: View, reference: ChartReference
+) -> tuple[Candidate, View]:
+    """Look once more with the chart in the middle: less stretched, as large as useful, in the full map."""
+    on_map = view.map_points(found.corners)
+    close = _view_around(on_map, view.map_size)
+    shown = close.render(environment)
+    closest = aligned_and_judged(shown, _view_points(close, on_map), reference)
+    for scale in () if closest.excellent else _VIEW_SCALES:
+        for candidate in candidates(shown, reference, scale):
+            closest = better(closest, candidate)
+        if closest.acceptable:
+            break
+    return (closest, close) if closest.rank <= found.rank + SMALL_LOSS else (found, view)
 
 
 def _view_around(corners: npt.NDArray[np.float64], size: tuple[int, int]) -> View:
     yaw, pitch = yaw_pitch(corners.mean(axis=0), size)
     field = min(max(3.0 * angular_extent(corners, size), np.radians(10.0)), np.radians(110.0))
-    return view_at(yaw, pitch, field_of_view=field, side=_VIEW_SIDE, map_size=size)
+    return view_at(yaw, pitch, field_of_view=field, side=_VIEW_SIDES[0], map_size=size)
 
 
 def _view_points(view: View, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -1,8 +1,8 @@
 """Where the 24 patches of a ColorChecker lie, and the two records that say where one stands in an image.
 
 Lengths are in units of 16 mm: a patch is 40 mm wide (2.5), the dark gap between two is 4 mm (0.25). The chart's *box* is the
-grid of 6 × 4 patches with one gap around it: 16.75 × 11.25 units. That is the box `cv2.mcc` reports; the frame of the
-chart beyond it is not counted, as it differs between editions.
+grid of 6 × 4 patches with one gap around it: 16.75 × 11.25 units. The frame of the chart beyond it is not counted, as it
+differs between editions.
 """
 
 from dataclasses import dataclass
@@ -33,15 +33,14 @@ class ChartFound:
 
     `corners` [4, 2] of the box (TL, TR, BR, BL as printed on the chart: dark skin is at TL, black at BR) and `quads`
     [24, 4, 2], the part of each patch that is to be sampled, in pixels (x, y), integer = pixel centre. In a lat-long map x
-    may leave [0, W): it is continuous across the seam. `cost` is the detector's (NaN for corners from the settings),
-    `score` the mean CIEDE2000 of a 3×3 fit against the reference (NaN likewise). `outline` [N, 2] is the border of the box
+    may leave [0, W): it is continuous across the seam. `score` is the mean CIEDE2000 of a 3×3 fit against the
+    reference, without the two worst patches (NaN for corners from the settings). `outline` [N, 2] is the border of the box
     as it runs through the image (curved in a lat-long map).
     """
 
     corners: Points
     quads: Points
     outline: Points
-    cost: float
     score: float
     warnings: tuple[str, ...] = ()
 
@@ -117,6 +116,5 @@ def chart_from_corners(corners: Points) -> ChartFound:
         corners=box,
         quads=project(homography, patch_quads()),
         outline=project(homography, box_outline()),
-        cost=float("nan"),
         score=float("nan"),
     )

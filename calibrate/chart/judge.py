@@ -1,9 +1,8 @@
 """Is this the chart, and which way up? A 3×3 fit of what a camera saw of 24 places against the published colours.
 
-A real chart fits under any light and camera; 24 places of anything else do not. On 78 photographs of charts and their
-rooms, accepting a mean CIEDE2000 up to 16.5 let no place without a chart pass, and lost no chart. The colours also
-give the sense of rotation: the order that fits best names the corners, and if these then run anticlockwise, the
-picture is mirrored.
+A real chart fits under any light and camera; 24 places of anything else do not. The fit allows for a fall-off of the
+light across the chart, and is repeated without the patches that fit worst (glare, dirt). The colours also give the sense
+of rotation: the order that fits best names the corners, and if these then run anticlockwise, the picture is mirrored.
 """
 
 from typing import Final
@@ -14,13 +13,16 @@ import numpy.typing as npt
 
 from calibrate.chart.geometry import COLUMNS, ROWS, image_from_chart, patch_quads, project
 from calibrate.chart.reference import ChartReference
-from calibrate.correct import least_squares
 from calibrate.difference import delta_e_2000, lab_from_xyz
 
 LARGEST_SCORE: Final = 16.5
 # Patches that are clipped in every exposure say nothing; with this many of them a fit of nine numbers says little.
 _MOST_LOST_PATCHES: Final = 6
 _SAMPLES_PER_SIDE: Final = 7
+# Rounds of fit and fall-off; the third changes the score by less than a tenth.
+_ROUNDS: Final = 3
+# Patches that the last round leaves out of fit and score.
+_LEFT_OUT: Final = 2
 
 _GRID = np.arange(ROWS * COLUMNS).reshape(ROWS, COLUMNS)
 # For each order of reading the patches: their indices, and the indices of the corners that go with it.
@@ -30,16 +32,18 @@ _ORDERS: Final = (
     (_GRID[:, ::-1].ravel(), (1, 0, 3, 2)),
     (_GRID[::-1].ravel(), (3, 2, 1, 0)),
 )
+_PLACES: Final = np.stack([_GRID.ravel() % COLUMNS / 5 - 0.5, _GRID.ravel() // COLUMNS / 3 - 0.5], axis=-1)
 
 
 def glance(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return the median of a few bilinear samples in each patch [24, 3]: NaN where most are NaN or outside."""
     samples = _samples(image, corners, 0.5)
+    seen = np.asarray(np.isfinite(samples).all(axis=2))
+    enough = seen.sum(axis=1) > samples.shape[1] // 2
     values = np.full((len(samples), 3), np.nan)
-    for value, patch in zip(values, samples, strict=True):
-        seen = patch[np.isfinite(patch).all(axis=1)]
-        if len(seen) > len(patch) // 2:
-            value[:] = np.median(seen, axis=0)
+    if enough.any():
+        shown = np.where(seen[..., None], samples, np.float32(np.nan))[enough]
+        values[enough] = np.nanmedian(shown, axis=1)
     return values
 
 
@@ -77,19 +81,66 @@ def _samples(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], p
 
 
 def best_order(patches: npt.NDArray[np.float64], reference: ChartReference) -> tuple[float, tuple[int, int, int, int]]:
-    """Return the best mean CIEDE2000 over the four orders of reading `patches` [24, 3], and its order of corners.
+    """Return the best score over the four orders of reading `patches` [24, 3], and its order of corners.
 
-    The score is infinite if too many patches are NaN.
+    The score is the mean CIEDE2000 of the patches without the two worst; infinite if too many patches are NaN.
     """
-    best = (float("inf"), (0, 1, 2, 3))
-    for indices, corner_order in _ORDERS:
-        camera = patches[indices]
-        seen = np.isfinite(camera).all(axis=1)
-        if (~seen).sum() > _MOST_LOST_PATCHES:
-            continue
-        xyz = reference.XYZ[seen]
-        matrix = least_squares(camera[seen], xyz, xyz[:, 1] ** (-4 / 3), np.zeros(len(xyz), dtype=np.bool_))
-        differences = delta_e_2000(lab_from_xyz(camera[seen] @ matrix.T), lab_from_xyz(xyz))
-        if differences.mean() < best[0]:
-            best = (float(differences.mean()), corner_order)
-    return best
+    return best_orders(patches[None], reference)[0]
+
+
+def best_orders(
+    patches: npt.NDArray[np.float64], reference: ChartReference
+) -> list[tuple[float, tuple[int, int, int, int]]]:
+    """Return for each of K sets of patches [K, 24, 3] what `best_order` returns for one."""
+    scores = np.full((len(patches), len(_ORDERS)), np.inf)
+    enough = (~np.isfinite(patches).all(axis=2)).sum(axis=1) <= _MOST_LOST_PATCHES
+    if enough.any():
+        orders = np.stack([patches[enough][:, indices] for indices, _ in _ORDERS], axis=1)
+        scores[enough] = _differences(orders.reshape(-1, 24, 3), reference.XYZ)[1].reshape(-1, len(_ORDERS))
+    best = scores.argmin(axis=1)
+    return [(float(row[k]), _ORDERS[k][1]) for row, k in zip(scores, best, strict=True)]
+
+
+def _differences(
+    patches: npt.NDArray[np.float64], xyz: npt.NDArray[np.float64]
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return CIEDE2000 [K, 24] of K sets of patches [K, 24, 3] after a fit each, and the scores [K]."""
+    seen = np.asarray(np.isfinite(patches).all(axis=2))
+    camera = np.where(seen[..., None], patches, 0.0)
+    camera = camera / np.maximum(camera.mean(axis=(1, 2), keepdims=True), 1e-300)
+    # As CIELAB counts errors: its cube root has the slope Y^(−2/3).
+    weight = seen * xyz[:, 1] ** (-4 / 3)
+    lab = lab_from_xyz(xyz)
+    light = np.zeros((len(patches), 24))
+    terms = np.column_stack([np.ones(24), _PLACES])
+    differences = np.zeros((len(patches), 24))
+    for turn in range(_ROUNDS):
+        even = camera * np.exp(-light)[..., None]
+        fitted = even @ _solved(even, xyz, weight)
+        differences = np.where(seen, delta_e_2000(lab_from_xyz(fitted), lab), np.nan)
+        if turn == _ROUNDS - 1:
+            break
+        # What is left of the luminance is a plane's fall-off in the logarithm, as far as it is one.
+        ratio = np.log(np.clip(fitted[..., 1], 1e-3 * xyz[:, 1], 1e3 * xyz[:, 1]) / xyz[:, 1])
+        # Glare makes a patch brighter, never darker: what stands out most is left out from the second round on.
+        rank = np.argsort(np.argsort(np.where(seen, -differences, 0.0), axis=1), axis=1)
+        kept = seen & (rank >= _LEFT_OUT)
+        root = np.sqrt(xyz[:, 1]) * kept
+        normal = np.einsum("kn,na,nb->kab", root**2, terms, terms) + 1e-9 * np.eye(3)
+        plane = np.linalg.solve(normal, np.einsum("kn,na,kn->ka", root**2, terms, ratio)[..., None])[..., 0]
+        light = np.clip(light + plane[:, 1:] @ _PLACES.T, -1.2, 1.2)
+        weight = kept * xyz[:, 1] ** (-4 / 3)
+    ordered = np.sort(np.where(seen, differences, np.inf), axis=1)
+    ordered = np.where(np.isfinite(ordered), ordered, 0.0)[:, : 24 - _LEFT_OUT]
+    counted = np.minimum(seen.sum(axis=1), 24 - _LEFT_OUT)
+    return differences, ordered.sum(axis=1) / np.maximum(counted, 1)
+
+
+def _solved(
+    even: npt.NDArray[np.float64], xyz: npt.NDArray[np.float64], weight: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """The matrices [K, 3, 3] for which even @ matrix is nearest to xyz under the weights."""
+    normal = np.einsum("kni,kn,knj->kij", even, weight, even)
+    trace = np.trace(normal, axis1=1, axis2=2)[:, None, None]
+    right = np.einsum("kni,kn,nj->kij", even, weight, xyz)
+    return np.asarray(np.linalg.solve(normal + 1e-9 * trace * np.eye(3) + 1e-300 * np.eye(3), right))

@@ -29,6 +29,10 @@ REFERENCE_NAMES: Final = (
     "ColorChecker 2005",
 )
 
+# The patch "white 9.5", and the largest Y a patch may have.
+_WHITE: Final = 18
+_LARGEST_Y: Final = 1.05
+
 
 @dataclass(frozen=True, slots=True)
 class ChartReference:
@@ -56,8 +60,40 @@ def chart_reference(name: str = AFTER_2014) -> ChartReference:
     xyY = np.array([np.asarray(value, dtype=np.float64) for value in chart.data.values()])
     xyz = np.column_stack([xyY[:, 0] / xyY[:, 1], np.ones(24), (1 - xyY[:, 0] - xyY[:, 1]) / xyY[:, 1]]) * xyY[:, 2:]
     x, y = (float(value) for value in chart.illuminant)
-    bradford = CONE_FROM_XYZ["Bradford"]
-    gains = (bradford @ D65_XYZ) / (bradford @ np.array([x / y, 1.0, (1 - x - y) / y]))
-    adapted = xyz @ np.linalg.solve(bradford, gains[:, None] * bradford).T
-    adapted.setflags(write=False)
+    adapted = _under_d65(xyz, np.array([x / y, 1.0, (1 - x - y) / y]))
     return ChartReference(name=name, names=tuple(key.split(" (")[0] for key in chart.data), XYZ=adapted)
+
+
+def measured_reference(name: str, xyz: npt.NDArray[np.float64], *, white: npt.NDArray[np.float64]) -> ChartReference:
+    """Return the reference of a chart whose patches were measured.
+
+    `xyz` [24, 3] row by row from dark skin, Y of a perfect white = 1, under a light of the XYZ `white` [3] (D50 for most
+    instruments; D65 leaves them as they are).
+
+    Raises
+    ------
+    CalibrateError
+        If there are not 24 patches, one is no colour, or the white patch (the 19th) is not the brightest.
+    """
+    measured = np.asarray(xyz, dtype=np.float64)
+    if measured.shape != (24, 3) or not np.isfinite(measured).all() or (measured[:, 1] <= 0).any():
+        raise CalibrateError(
+            f"correct.patches: {name}: values of shape {measured.shape}; expected finite XYZ with positive Y of 24 patches, row by "
+            "row from dark skin to black."
+        )
+    if measured[:, 1].argmax() != _WHITE or measured[:, 1].max() > _LARGEST_Y:
+        raise CalibrateError(
+            f"correct.patches: {name}: patch {measured[:, 1].argmax() + 1} is the brightest, Y = {measured[:, 1].max():.3f}; expected "
+            "the 19th, white, of Y between 0 and 1. Put the patches in order, row by row from dark skin, and give Y of a "
+            "perfect white as 100 or 1."
+        )
+    return ChartReference(name=name, names=chart_reference().names, XYZ=_under_d65(measured, np.asarray(white)))
+
+
+def _under_d65(xyz: npt.NDArray[np.float64], white: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """XYZ [24, 3] under a light of XYZ `white` [3], adapted to D65 by the linear Bradford transform."""
+    bradford = CONE_FROM_XYZ["Bradford"]
+    gains = (bradford @ D65_XYZ) / (bradford @ white)
+    adapted = np.asarray(xyz @ np.linalg.solve(bradford, gains[:, None] * bradford).T)
+    adapted.setflags(write=False)
+    return adapted

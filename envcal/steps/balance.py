@@ -8,23 +8,35 @@ import numpy as np
 import numpy.typing as npt
 
 from envcal import exr, provenance
+from envcal.cameras import sensitivities
 from envcal.config import BalanceSettings, LampOnChart, LampRectangle
 from envcal.errors import EnvcalError
 from envcal.profile import Camera, Lamp, Profile, matrix_rows, mismatches, parse, row
 from envcal.runner import Outcome
+from envcal.spd import read_spd
 from envcal.steps import chart_light
 
+#: What a profile calls the space of the gains where the camera's sensitivities are known.
+CAMERA_RGB_BALANCE = "camera RGB"
 
-def calibrate_on_lamp(corrected: Path, settings: BalanceSettings, folder: Path = Path()) -> Profile:
-    """Find the D65 lamp in a corrected reference shot and return its profile, completed with the chart's light.
 
-    A file named by `settings.camera` is looked for in `folder`.
+def calibrate_on_lamp(corrected: Path, settings: BalanceSettings, *, folder: Path = Path()) -> Profile:
+    """Find the lamp in a corrected reference shot and return its profile, completed with the chart's light.
+
+    Files that the settings name start from `folder`.
     """
     from calibrate.adapt import cone_matrix, von_kries_matrix
     from calibrate.lamp import find_lamp, measure_lamp, rectangle_from_chart
+    from calibrate.trained import matrix_of_sensitivities
+    from uplift.illuminants import measured_emission
     from uplift.spectrum import illuminant, observer, rgb_space, xyz_of
 
     header, image, profile = _read_corrected(corrected)
+    if settings.camera is not None and profile.root_terms is not None:
+        raise EnvcalError(
+            "balance.camera: a matrix from sensitivities takes the place of the chart's, which was fitted as a root-polynomial. "
+            "Set `correct.fit: linear`, or leave `balance.camera` out."
+        )
     space = rgb_space(profile.working_space)
     corners = np.asarray(profile.chart.corners, np.float64)
     latlong = header.size[1] == 2 * header.size[0]
@@ -37,20 +49,43 @@ def calibrate_on_lamp(corrected: Path, settings: BalanceSettings, folder: Path =
         polygon = rectangle_from_chart(settings.lamp.chart_rectangle, corners)
         lamp = measure_lamp(image, polygon, xyz_from_rgb=space.xyz_from_rgb, latlong=latlong)
     seen = observer()
-    # (1, 1, 1) in a space whose white is D65.
-    destination = space.rgb_from_xyz @ xyz_of(illuminant("D65", seen), seen)
-    matrix = von_kries_matrix(
-        lamp.rgb,
-        destination,
-        xyz_from_rgb=space.xyz_from_rgb,
-        transform=settings.transform,
-        luminance=settings.luminance,
-    )
-    cones = cone_matrix(settings.transform, space.xyz_from_rgb)
-    gains = np.diag(cones @ matrix @ np.linalg.inv(cones))
+    daylight = illuminant("D65", seen)
+    spectrum = daylight
+    if settings.spectrum is not None:
+        path = folder / settings.spectrum
+        spectrum = measured_emission(*read_spd(path), seen, name=str(path))
+    # (1, 1, 1) for D65 in a space whose white is D65.
+    lamp_xyz = xyz_of(spectrum, seen)
+    destination = space.rgb_from_xyz @ (lamp_xyz / lamp_xyz[1])
+    transform = settings.transform if settings.camera is None else CAMERA_RGB_BALANCE
+    if settings.camera is None:
+        matrix = von_kries_matrix(
+            lamp.rgb,
+            destination,
+            xyz_from_rgb=space.xyz_from_rgb,
+            transform=settings.transform,
+            luminance=settings.luminance,
+        )
+        cones = cone_matrix(settings.transform, space.xyz_from_rgb)
+        gains = np.diag(cones @ matrix @ np.linalg.inv(cones))
+    else:
+        spectral = sensitivities(chart_light.place_of(settings.camera, folder), seen.wavelengths_nm)
+        camera_from_rgb = np.linalg.inv(np.asarray(profile.matrix))
+        reading = camera_from_rgb @ lamp.rgb
+        xyz_from_camera = matrix_of_sensitivities(
+            reading,
+            spectral,
+            lamp=spectrum,
+            daylight=daylight,
+            observer=seen.cmfs,
+            wavelengths_nm=seen.wavelengths_nm,
+        )
+        if settings.luminance == "keep":
+            xyz_from_camera = xyz_from_camera * float(space.xyz_from_rgb[1] @ lamp.rgb)
+        matrix = space.rgb_from_xyz @ xyz_from_camera @ camera_from_rgb
+        gains = reading[1] / reading
     completed = profile.model_copy(
         update={
-            "format": 2,
             "lamp": Lamp(
                 found="auto" if settings.lamp == "auto" else "settings",
                 polygon=[(round(float(x), 3), round(float(y), 3)) for x, y in lamp.polygon],
@@ -58,9 +93,11 @@ def calibrate_on_lamp(corrected: Path, settings: BalanceSettings, folder: Path =
                 clipped=int(lamp.clipped),
                 rgb=row(lamp.rgb),
                 noise=row(lamp.noise),
-                transform=settings.transform,
+                transform=transform,
                 luminance=settings.luminance,
                 cone_gains=row(gains),
+                spectrum=None if settings.spectrum is None else settings.spectrum.name,
+                camera=settings.camera,
             ),
             "balance_matrix": matrix_rows(matrix),
             "warnings": [*profile.warnings, *lamp.warnings],
@@ -82,7 +119,7 @@ def balance(
             "finds the lamp and writes the completed profile beside its output."
         )
     header, image, own = _read_corrected(corrected)
-    if own.matrix != profile.matrix:
+    if own.matrix != profile.matrix or own.root_terms != profile.root_terms:
         raise EnvcalError(
             f"{corrected}: was corrected with another chart matrix than the profile's. Correct it with the same "
             f"profile first: `envcal correct MERGED -o {corrected.name} --profile PROFILE`."

@@ -37,14 +37,25 @@ def measure(profile: Profile, camera: str | None, folder: Path) -> tuple[ChartLi
 
     if profile.lamp is None or len(profile.chart.patches) != 24:
         return None, []
+    if profile.root_terms is not None:
+        # What the camera read of the lamp cannot be had back from working RGB then.
+        return None, [
+            "the light on the chart is not measured beside a root-polynomial. Set `correct.fit: linear` for that."
+        ]
+    if profile.lamp.spectrum is not None:
+        return None, ["the light on the chart is measured only beside a D65 lamp, not one of a spectrum of its own."]
     seen = observer()
     curves = None if camera is None else sensitivities(place_of(camera, folder), seen.wavelengths_nm)
     back = np.linalg.inv(np.asarray(profile.matrix))
     fall_off = np.array([[patch.light] for patch in profile.chart.patches])
+    values = np.array([patch.camera_rgb for patch in profile.chart.patches]) / fall_off
+    noise = np.array([patch.noise for patch in profile.chart.patches]) / fall_off
+    # Glare makes a patch say nothing.
+    spoilt = np.array([[patch.left_out] for patch in profile.chart.patches])
     try:
         reading = reading_of(
-            np.array([patch.camera_rgb for patch in profile.chart.patches]) / fall_off,
-            np.array([patch.noise for patch in profile.chart.patches]) / fall_off,
+            values,
+            np.where(spoilt, values.max(), noise),
             back @ np.asarray(profile.lamp.rgb),
         )
         found = measure_light(reading, camera=curves, observer=seen)

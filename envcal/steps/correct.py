@@ -11,6 +11,7 @@ import numpy.typing as npt
 from envcal import atomic, exr, provenance
 from envcal.config import CorrectSettings
 from envcal.errors import EnvcalError
+from envcal.patches_file import read_patches
 from envcal.profile import Camera, Chart, Patch, Profile, matrix_rows, mismatches, row
 from envcal.runner import Outcome
 
@@ -18,15 +19,22 @@ from envcal.runner import Outcome
 _MUCH_LOST = 0.05
 
 
-def calibrate_on_chart(merged: Path, settings: CorrectSettings, working_space: str) -> Profile:
-    """Find the chart in a merged reference shot and return the profile it gives, without a lamp yet."""
+def calibrate_on_chart(
+    merged: Path, settings: CorrectSettings, working_space: str, *, folder: Path = Path()
+) -> Profile:
+    """Find the chart in a merged reference shot and return the profile it gives, without a lamp yet.
+
+    Files that the settings name start from `folder`.
+    """
     from calibrate import CalibrateError
     from calibrate.chart import chart_from_corners, chart_reference, find_chart, measure_patches
     from calibrate.correct import fit_matrix
     from uplift.spectrum import rgb_space
 
     header, image = _read_merged(merged)
-    reference = chart_reference(settings.reference)
+    reference = (
+        chart_reference(settings.reference) if settings.patches is None else read_patches(folder / settings.patches)
+    )
     latlong = header.size[1] == 2 * header.size[0]
     try:
         if settings.chart == "auto":
@@ -53,7 +61,10 @@ def calibrate_on_chart(merged: Path, settings: CorrectSettings, working_space: s
         white=settings.white,
         weighting=settings.weighting,
         shading=settings.shading,
+        model="linear" if settings.fit == "white-preserving" else settings.fit,
+        spoilt=settings.spoilt,
     )
+    matrix = fit.matrix if fit.model == "linear" else fit.matrix[:, :3]
     return Profile(
         working_space=working_space,
         camera=_camera(header),
@@ -64,8 +75,8 @@ def calibrate_on_chart(merged: Path, settings: CorrectSettings, working_space: s
             found="auto" if settings.chart == "auto" else "settings",
             corners=_points(found.corners),
             quads=[_points(quad) for quad in found.quads],
-            cost=float(found.cost) if np.isfinite(found.cost) else None,
-            fit=settings.fit,
+            score=float(found.score) if np.isfinite(found.score) else None,
+            fit=fit.model if settings.fit == "auto" else settings.fit,
             patches=[
                 Patch(
                     name=name,
@@ -73,6 +84,7 @@ def calibrate_on_chart(merged: Path, settings: CorrectSettings, working_space: s
                     noise=row(patches.noise[k]),
                     pixels=int(patches.pixels[k]),
                     light=float(fit.shading[k]),
+                    left_out=bool(fit.left_out[k]),
                     target_rgb=row(fit.target_rgb[k]),
                     fitted_rgb=row(fit.fitted_rgb[k]),
                     delta_e=float(fit.delta_e[k]),
@@ -81,7 +93,8 @@ def calibrate_on_chart(merged: Path, settings: CorrectSettings, working_space: s
                 for k, name in enumerate(reference.names)
             ],
         ),
-        matrix=matrix_rows(fit.matrix),
+        matrix=matrix_rows(matrix),
+        root_terms=None if fit.model == "linear" else matrix_rows(fit.matrix[:, 3:]),
         warnings=[*found.warnings, *fit.warnings],
     )
 
@@ -96,7 +109,7 @@ def correct(
     from calibrate.correct import apply_matrix
 
     header, image = _read_merged(merged)
-    corrected = apply_matrix(image, np.asarray(profile.matrix))
+    corrected = apply_matrix(image, profile.full_matrix())
     attributes = {
         **provenance.attributes("correct", settings=settings.model_dump(mode="json"), inputs=[merged]),
         **provenance.colour_space(profile.working_space),
@@ -109,7 +122,7 @@ def correct(
     figures = {
         "shot": out.stem,
         "delta_e": delta_e,
-        "chart_cost": profile.chart.cost,
+        "chart_score": profile.chart.score,
         "chart_found": profile.chart.found,
         "negative_pixels": negative,
     }

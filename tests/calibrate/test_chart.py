@@ -244,3 +244,12 @@ def test_the_answer_does_not_depend_on_the_number_of_threads_or_on_what_was_sear
     finally:
         cv2.setNumThreads(threads)
     assert len(set(found)) == 1
+
+
+def test_a_chart_that_is_cut_off_by_the_border_is_refused():
+    from benchmarks.chart_scenes import scene_without_chart
+
+    scene = scene_without_chart(25)
+    assert scene.what == "partial charts"
+    with pytest.raises(CalibrateError, match=r"correct\.chart"):
+        find_chart(scene.image)

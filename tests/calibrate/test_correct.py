@@ -222,3 +222,67 @@ def test_too_few_patches_and_unknown_settings_are_refused(reference):
         fit_matrix(camera, reference, rgb_from_xyz=RGB_FROM_XYZ, shading="cubic")  # type: ignore[arg-type]
     with pytest.raises(CalibrateError, match=r"correct\.white: 'grey'"):
         fit_matrix(camera, reference, rgb_from_xyz=RGB_FROM_XYZ, white="grey")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("exposure", [0.01, 300.0])
+def test_a_root_polynomial_means_the_same_at_every_exposure(reference, exposure):
+    camera = patch_colours("A")
+    fit = fit_matrix(camera, reference, rgb_from_xyz=RGB_FROM_XYZ, model="root-polynomial", shading="none")
+    assert fit.matrix.shape == (3, 6)
+    image = camera.reshape(4, 6, 3).astype(np.float32)
+    once = apply_matrix(image, fit.matrix)
+    np.testing.assert_allclose(once.reshape(24, 3), fit.fitted_rgb, atol=1e-5)
+    np.testing.assert_allclose(apply_matrix(image * np.float32(exposure), fit.matrix), once * exposure, rtol=1e-4)
+
+
+def test_a_root_polynomial_is_applied_as_a_slow_loop_does():
+    rng = np.random.default_rng(8)
+    image = rng.normal(0.3, 0.4, (300, 5, 3)).astype(np.float32)
+    image[7, 2, 1] = np.nan
+    matrix = rng.normal(size=(3, 6))
+    result = apply_matrix(image, matrix)
+    for y, x in ((0, 0), (255, 4), (256, 1), (299, 3)):
+        r, g, b = (float(v) for v in image[y, x])
+        p, q, s = max(r, 0), max(g, 0), max(b, 0)
+        expected = matrix @ [r, g, b, (p * q) ** 0.5, (q * s) ** 0.5, (s * p) ** 0.5]
+        np.testing.assert_allclose(result[y, x], expected, atol=1e-5)
+    assert np.isnan(result[7, 2]).all()
+
+
+def test_auto_takes_what_predicts_unseen_patches_better(reference):
+    luther = fit_matrix(reference.XYZ @ LUTHER.T, reference, rgb_from_xyz=RGB_FROM_XYZ, model="auto")
+    assert luther.model == "linear"
+    measured = fit_matrix(patch_colours("A"), reference, rgb_from_xyz=RGB_FROM_XYZ, model="auto")
+    linear = fit_matrix(patch_colours("A"), reference, rgb_from_xyz=RGB_FROM_XYZ)
+    assert (measured.model == "root-polynomial") == (measured.delta_e_loo.mean() < 0.85 * linear.delta_e_loo.mean())
+    with pytest.raises(CalibrateError, match=r"correct\.fit: 'cubic'"):
+        fit_matrix(patch_colours("A"), reference, rgb_from_xyz=RGB_FROM_XYZ, model="cubic")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("patch", [1, 7, 18])
+def test_glare_on_a_patch_leaves_it_out_and_the_matrix_as_it_was(reference, patch):
+    camera = patch_colours("D65")
+    shiny = camera.copy()
+    shiny[patch] += 0.5 * camera[18]
+    clean = fit_matrix(camera, reference, rgb_from_xyz=RGB_FROM_XYZ, shading="none")
+    fit = fit_matrix(shiny, reference, rgb_from_xyz=RGB_FROM_XYZ, shading="none")
+    assert np.flatnonzero(fit.left_out).tolist() == [patch]
+    assert any(f"left out of the fit: {reference.names[patch]}" in warning for warning in fit.warnings)
+    # One patch of 24 less: as much as leaving it out changes a clean fit.
+    np.testing.assert_allclose(fit.matrix, clean.matrix, atol=0.05 * np.abs(clean.matrix).max())
+    kept = fit_matrix(shiny, reference, rgb_from_xyz=RGB_FROM_XYZ, shading="none", spoilt="keep")
+    assert not kept.left_out.any()
+    assert kept.delta_e.mean() > 1.5 * clean.delta_e.mean()
+
+
+def test_no_patch_of_a_clean_chart_is_left_out(reference):
+    for light in ("A", "D65", "FL2", "LED-B3"):
+        fit = fit_matrix(patch_colours(light), reference, rgb_from_xyz=RGB_FROM_XYZ)
+        assert not fit.left_out.any()
+
+
+def test_a_chart_that_something_covers_is_refused(reference):
+    covered = patch_colours("D65").reshape(4, 6, 3).copy()
+    covered[:, 4:] = 0.4
+    with pytest.raises(CalibrateError, match=r"correct\.chart: .*(Photograph it again|photograph the chart again)"):
+        fit_matrix(covered.reshape(24, 3), reference, rgb_from_xyz=RGB_FROM_XYZ)

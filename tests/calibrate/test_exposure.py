@@ -57,7 +57,7 @@ def test_a_sound_bracket_gives_no_warning() -> None:
         ({"exposure_s": Fraction(-1, 60)}, "2.dng: exposure time -0.0166667 s; it must be above 0"),
         ({"exposure_s": Fraction(4, 1000)}, "2.dng: exposure 1/250 s is also that of 1.dng"),
         ({"exposure_s": Fraction(401, 100_000)}, "2.dng: exposure 401/100000 s is also that of 1.dng"),
-        ({"cfa": "XTRANS"}, "2.dng: colour filter array 'XTRANS'; only Bayer mosaics are merged"),
+        ({"cfa": "XTRANS"}, "2.dng: colour filter array 'XTRANS'; a Bayer pattern"),
         ({"black_dn": (512.0, 512.0, 512.0, 20000.0)}, "2.dng: black level 20000 and white level 16383"),
         ({"black_dn": (float("nan"),) * 4}, "2.dng: black level nan"),
         ({"width": 2}, "2.dng: 2×4000 photosites; at least 4×4"),

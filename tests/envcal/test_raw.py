@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 
 from envcal.errors import EnvcalError
-from envcal.raw import RawFrame, rawpy_version, read_info, read_mosaic
+from envcal.raw import RawFrame, rawpy_version, read_frame, read_info, read_mosaic
 
 HEIGHT, WIDTH = 40, 60
 BLACKS = (500, 510, 520, 530)
@@ -205,9 +205,6 @@ NO_CFA: dict[int, tuple[int, Any] | None] = {262: (SHORT, (34892,)), 33421: None
 @pytest.mark.parametrize(
     ("mosaic", "changed", "said"),
     [
-        (mosaic_of(), {33421: (SHORT, (6, 6)), 33422: (BYTE, X_TRANS)}, "X-Trans"),
-        (mosaic_of(), NO_CFA, "monochrome"),
-        (np.dstack([mosaic_of()] * 3), NO_CFA, "three colours at every photosite"),
         (mosaic_of(), {33422: (BYTE, (0, 1, 2, 1))}, "a Bayer mosaic"),
         (mosaic_of().astype(np.float32) / 16383, {339: (SHORT, (3,))}, "floating-point"),
         ((mosaic_of() / 16383).astype(np.float16), {339: (SHORT, (3,))}, "floating-point"),
@@ -264,3 +261,36 @@ def test_a_real_frame_is_read() -> None:
     info = read_info(path)
     assert (info.cfa, info.bits, info.exposure_s) == ("BGGR", 12, Fraction(1, 30))
     assert read_mosaic(path).shape == (info.height, info.width)
+
+
+# Other arrangements of the photosites
+
+
+def test_x_trans_monochrome_and_linear_frames_are_read_as_they_are(tmp_path: Path) -> None:
+    mosaic = mosaic_of()
+    six = read_frame(write_dng(tmp_path / "x.dng", mosaic, changed={33421: (SHORT, (6, 6)), 33422: (BYTE, X_TRANS)}))
+    assert six[0].cfa == "".join("RGB"[c] for c in X_TRANS)
+    assert six[0].period == (6, 6)
+    grey = read_frame(write_dng(tmp_path / "m.dng", mosaic, changed=NO_CFA))
+    assert (grey[0].cfa, grey[0].columns) == ("W", WIDTH)
+    np.testing.assert_array_equal(grey[1], mosaic)
+    colours = np.dstack([mosaic_of(1), mosaic_of(2), mosaic_of(3)])
+    linear = read_frame(write_dng(tmp_path / "l.dng", colours, changed=NO_CFA))
+    assert (linear[0].cfa, linear[0].columns, len(linear[0].white_dn)) == ("RGB", 3 * WIDTH, 3)
+    np.testing.assert_array_equal(linear[1], colours.reshape(HEIGHT, 3 * WIDTH))
+
+
+def test_the_masked_border_is_measured(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    height, width = 200, 120
+    written = rng.integers(600, 9000, (height, width), dtype=np.uint16)
+    dark = np.empty((height, width))
+    for k, black in enumerate(BLACKS):
+        dark[k // 2 :: 2, k % 2 :: 2] = black + 1.4
+    written[:, :24] = np.rint(dark + 2 * rng.standard_normal(dark.shape))[:, :24]
+    info = read_info(write_dng(tmp_path / "a.dng", written, active=(0, 24, height, width)))
+    assert info.masked is not None
+    # Two counts of noise over some 900 photosites a position.
+    np.testing.assert_allclose(info.masked.black_dn, np.array(BLACKS) + 1.4, atol=0.3)
+    assert info.masked.noise_dn == pytest.approx(2.0, rel=0.1)
+    assert read_info(write_dng(tmp_path / "b.dng", written)).masked is None

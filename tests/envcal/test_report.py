@@ -83,7 +83,7 @@ def chart_profile(width: int = WIDTH) -> Profile:
             found="auto",
             corners=[tuple(p) for p in box],
             quads=quads,
-            cost=0.02,
+            score=2.0,
             fit="linear",
             patches=patches,
         ),

@@ -1,0 +1,114 @@
+"""Merge one bracket with one library, alone in its process: `python merge_worker.py NAME FOLDER OUT.npy`.
+
+Prints a line of JSON: seconds and peak memory. Imports nothing but the library it runs, so that it also works in an
+environment that has only that library and rawpy.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def envcal(files: list[Path], _told: dict[str, Any]) -> np.ndarray[Any, Any]:
+    from calibrate.demosaic import demosaic
+    from calibrate.merge import Asked, measure_bracket, merge_mosaics
+    from envcal.raw import open_bracket
+
+    raws = open_bracket(files)
+    measured = measure_bracket(raws, Asked())
+    merged = merge_mosaics(raws, measured=measured)
+    del raws
+    return demosaic(merged.mosaic, merged.cfa)
+
+
+def hdrutils(files: list[Path], told: dict[str, Any]) -> np.ndarray[Any, Any]:
+    import HDRutils
+
+    n = len(files)
+    image, _ = HDRutils.merge(
+        [str(f) for f in files],
+        demosaic_first=False,
+        color_space="raw",
+        demosaic="malvar",
+        black_level=told["black"],
+        exp=told["times"],
+        gain=np.ones(n),
+        aperture=np.ones(n),
+        bits=14,
+    )
+    return np.asarray(image, np.float32)
+
+
+def _developed(path: Path, bits: int) -> np.ndarray[Any, Any]:
+    import rawpy
+
+    with rawpy.imread(str(path)) as raw:
+        return np.asarray(
+            raw.postprocess(
+                gamma=(1, 1),
+                no_auto_bright=True,
+                output_bps=bits,
+                user_wb=[1, 1, 1, 1],
+                output_color=rawpy.ColorSpace.raw,
+                user_flip=0,
+                adjust_maximum_thr=0,
+            )
+        )
+
+
+def colour_hdri(files: list[Path], told: dict[str, Any]) -> np.ndarray[Any, Any]:
+    from colour_hdri import Image, ImageStack, Metadata, image_stack_to_HDRI
+
+    stack = ImageStack()
+    stack.extend(
+        Image(str(f), data=_developed(f, 16).astype(np.float32) / 65535, metadata=Metadata(8.0, t, 100.0))
+        for f, t in zip(files, told["times"], strict=True)
+    )
+    return np.asarray(image_stack_to_HDRI(stack), np.float32)
+
+
+def opencv(files: list[Path], told: dict[str, Any]) -> np.ndarray[Any, Any]:
+    import cv2
+
+    images = [np.ascontiguousarray(_developed(f, 8)) for f in files]
+    linear = np.repeat(np.arange(256, dtype=np.float32)[:, None, None], 3, axis=2) / 255
+    linear[0] = linear[1] / 2  # its logarithm is taken
+    times = np.array(told["times"], np.float32)
+    return np.asarray(cv2.createMergeDebevec().process(images, times, linear), np.float32)
+
+
+WAYS = {"envcal": envcal, "HDRutils": hdrutils, "colour-hdri": colour_hdri, "OpenCV Debevec": opencv}
+
+
+def peak_bytes() -> int:
+    """Return the largest memory this process has had, 0 where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(largest if sys.platform == "darwin" else largest * 1024)
+
+
+def main(name: str, folder: Path, out: Path) -> None:
+    told = json.loads((folder / "told.json").read_text(encoding="utf-8"))
+    way = WAYS[name]
+    # Compilation and imports are paid once a machine and once a process; they are not what is compared.
+    way(sorted((folder / "small").glob("*.dng")), told)
+    before = peak_bytes()
+    files = sorted(folder.glob("*.dng"))
+    start, cpu = time.perf_counter(), time.process_time()
+    image = way(files, told)
+    seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
+    print(json.dumps({"seconds": seconds, "cpu": cpu, "peak": peak_bytes(), "before": before}))
+    np.save(out, image)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3]))
