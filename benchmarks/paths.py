@@ -10,7 +10,6 @@ the light comes from, and that is the same for all maps.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -68,9 +67,7 @@ def record(scene: Any, *, shape: tuple[int, int], size: tuple[int, int], spp: in
     spp = -(-spp // GROUPS) * GROUPS
     chunk = max(GROUPS, _LANES // (width * height) // GROUPS * GROUPS)
     rng = np.random.default_rng(seed)
-    parts = [
-        _traced(scene, shape, size, min(chunk, spp - first), seed + first, rng) for first in range(0, spp, chunk)
-    ]
+    parts = [_traced(scene, shape, size, min(chunk, spp - first), seed + first, rng) for first in range(0, spp, chunk)]
     lane, texel, weight, patch = (np.concatenate([part[k] for part in parts]) for k in range(4))
     order = np.argsort(lane, kind="stable")
     starts = np.searchsorted(lane[order], np.arange(width * height * GROUPS + 1))

@@ -31,7 +31,7 @@ from benchmarks import paths
 from benchmarks.maps import size
 from envcal.errors import EnvcalError
 from envcal.reflectances import colour_checker
-from uplift.illuminants import cct_duv_of
+from uplift.illuminants import FAMILIES, cct_duv_of
 from uplift.radiance import spectra_of
 from uplift.scaled import uplift_scaled
 from uplift.spectrum import Observer, illuminant, normalised, observer, rgb_space, xyz_of
@@ -237,6 +237,7 @@ def trace(scene_file: Path, transport: Float32, chosen: Any) -> tuple[paths.Path
     grey = paths.guide(transport, EYES.cmfs[:, 1])
     exr.write(scene_file.with_name("guide.exr"), exr.rgb_planes(native_rows(grey)), attributes={})
     scene_file.with_name("guide.xml").write_text(description.scaled_xml("guide.exr"), encoding="utf-8")
+    mi.set_log_level(mi.LogLevel.Error)  # that cyan is outside of sRGB is no matter: its bands are put in its place
     scene = mi.load_file(str(scene_file), lighting="guide")
     traced = paths.record(scene, shape=transport.shape[:2], size=chosen.size, spp=chosen.spp)  # type: ignore[arg-type]
     depth = mi.load_dict({"type": "aov", "aovs": "depth:depth"})
@@ -275,9 +276,7 @@ def by_emitter(scene_file: Path, lighting: str, rgb: Float32, chosen: Any) -> Fl
     scene_file.with_name(f"{lighting}.xml").write_text(make(f"{lighting}.exr"), encoding="utf-8")
     scene = mi.load_file(str(scene_file), lighting=lighting)
     each = max(1, chosen.spp // paths.GROUPS)
-    return np.stack(
-        [np.asarray(mi.render(scene, spp=each, seed=7000 + k), np.float64) for k in range(paths.GROUPS)]
-    )
+    return np.stack([np.asarray(mi.render(scene, spp=each, seed=7000 + k), np.float64) for k in range(paths.GROUPS)])
 
 
 def standard_errors(first: Float64, second: Float64) -> float:
@@ -330,7 +329,8 @@ def write_uplift(out: Path, rgb: Float32, kind: str, emission: Float64, *, measu
         )
         what: dict[str, Any] = {"spd": table}
     else:
-        what = {"type": kind, "cct": round(cct_duv_of(emission, EYES)[0])}
+        family = FAMILIES[kind]  # FL1 is three kelvin beyond where the family ends
+        what = {"type": kind, "cct": round(float(np.clip(cct_duv_of(emission, EYES)[0], family.low_k, family.high_k)))}
     everywhere = [DeclaredLight.model_validate({"at": light["at"], **what}) for light in search([])]
     lights_found = search(everywhere)
     uplift(found, clusters, out, UpliftSettings())
