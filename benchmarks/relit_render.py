@@ -239,7 +239,7 @@ def trace(scene_file: Path, transport: Float32, chosen: Any) -> tuple[paths.Path
     scene_file.with_name("guide.xml").write_text(description.scaled_xml("guide.exr"), encoding="utf-8")
     mi.set_log_level(mi.LogLevel.Error)  # that cyan is outside of sRGB is no matter: its bands are put in its place
     scene = mi.load_file(str(scene_file), lighting="guide")
-    traced = paths.record(scene, shape=transport.shape[:2], size=chosen.size, spp=chosen.spp)  # type: ignore[arg-type]
+    traced = paths.record(scene, shape=transport.shape[:2], size=chosen.size, spp=chosen.spp)
     depth = mi.load_dict({"type": "aov", "aovs": "depth:depth"})
     lit = np.asarray(mi.render(scene, integrator=depth, spp=16))[..., 0] > 0
     return traced, lit
