@@ -22,7 +22,7 @@ import numpy.typing as npt
 from benchmarks.maps import lit_map, size
 from envcal import exr
 from envcal.errors import EnvcalError
-from envcal.uplift_file import ATTRIBUTE, CHANNELS
+from envcal.uplift_file import ATTRIBUTE, CHANNELS, About, Emission
 from uplift.illuminants import family_emission
 from uplift.pixels import uplift_pixels
 from uplift.spectrum import illuminant, observer, rgb_space
@@ -90,17 +90,17 @@ def _write_maps(folder: Path, width: int, height: int) -> tuple[Path, Path]:
         {"type": "measured", "cct": None, "duv": None, "source": "benchmark", "confidence": 1.0, "emission": e.tolist()}
         for e in found.emissions
     ]
-    about = {
-        "method": "constrained",
-        "space": space.name,
-        "observer": eyes.name,
-        "wavelengths_nm": eyes.wavelengths_nm.tolist(),
-        "clusters": lights,
-        "status": {},
-    }
+    about = About(
+        method="constrained",
+        space=space.name,
+        observer=eyes.name,
+        wavelengths_nm=eyes.wavelengths_nm.tolist(),
+        clusters=[Emission.model_validate(light) for light in lights],
+        status={},
+    )
     chromaticities = (*space.primaries_xy.ravel().tolist(), *space.white_xy.tolist())
     ours, theirs = folder / "uplift.exr", folder / "rgb.exr"
-    attributes = {ATTRIBUTE: about, "chromaticities": chromaticities, "envmap": True}
+    attributes = {ATTRIBUTE: about.model_dump(mode="json"), "chromaticities": chromaticities, "envmap": True}
     exr.write(ours, {name: whole[name] for name in CHANNELS}, attributes=attributes)
     srgb = np.maximum(rgb @ _SRGB_OF_2020.T.astype(np.float32), 0)
     mi.Bitmap(np.ascontiguousarray(srgb, np.float32)).write(str(theirs))

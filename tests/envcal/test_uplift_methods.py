@@ -260,3 +260,48 @@ def test_the_page_tells_each_methods_pixels_apart(files, method, tmp_path):
         assert (error != "–") == told_error
     assert ("mixture of eight" in page) == (method == "lattice")
     assert "Spectra of two pixels" in page
+
+
+# ---- what reads the file further on ----
+
+
+def test_a_lattice_is_refused_by_every_renderers_files_and_a_scaled_uplift_is_taken(files, tmp_path):
+    folder, said = files[0], r"mixture of eight spectra.*--method constrained"
+    for name, more in {"mitsuba": ["--no-render"], "rgb": [], "pbrt": [], "basis": []}.items():
+        command = [name] if name == "mitsuba" else ["export", "--to", name]
+        done = CliRunner().invoke(main, [*command, str(folder / "lattice.exr"), "-o", str(tmp_path / name), *more])
+        assert done.exit_code == 1 and re.search(said, done.output, re.DOTALL), (name, done.output)
+        assert not (tmp_path / name).exists() or not list((tmp_path / name).iterdir()), name
+        envcal(*command, folder / "scaled.exr", "-o", tmp_path / f"{name}_scaled", *more)
+
+
+def test_the_rgb_of_a_scaled_uplift_are_the_colours_that_it_keeps(files, tmp_path):
+    folder, rgb, _ = files
+    envcal("export", "--to", "rgb", folder / "scaled.exr", "-o", tmp_path, "--space", "sRGB")
+    _, found = exr.read_rgb(tmp_path / "environment_srgb.exr")
+    _, planes = exr.read(folder / "scaled.exr", ["status"])
+    kept = planes["status"] == Status.EXACT
+    assert kept.mean() > 0.9
+    np.testing.assert_allclose(found[kept], rgb[kept], rtol=1e-3, atol=1e-5)
+
+
+def test_the_emitter_shines_with_the_bands_of_a_scaled_uplift_and_refuses_a_lattice(files):
+    mi = pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install 'envcal[mitsuba]'")
+    from envcal.mitsuba import set_variant
+
+    folder = files[0]
+    set_variant("scalar_spectral")
+    with pytest.raises((EnvcalError, RuntimeError), match="mixture of eight spectra"):
+        mi.load_dict({"type": "envcal", "filename": str(folder / "lattice.exr")})
+    emitter = mi.load_dict({"type": "envcal", "filename": str(folder / "scaled.exr")})
+    bands = bands_of(folder / "scaled.bands.exr")
+    for row, column in ((3, 4), (9, 20), (5, 6), (12, 31)):
+        phi, theta = 2 * np.pi * (column + 0.5) / WIDTH, np.pi * (row + 0.5) / HEIGHT
+        si = mi.SurfaceInteraction3f()
+        si.wi = mi.Vector3f(-np.sin(phi) * np.sin(theta), -np.cos(theta), np.cos(phi) * np.sin(theta))
+        si.wavelengths = mi.Spectrum(420.0, 500.0, 580.0, 660.0)
+        expected = bands[row, column, [8, 24, 40, 56]]
+        # The light of a texel's centre, where a rounded direction still takes 1e-5 of its neighbours.
+        np.testing.assert_allclose(
+            np.array(emitter.eval(si)) * mi.MI_CIE_Y_NORMALIZATION, expected, rtol=2e-3, err_msg=f"{row}, {column}"
+        )
