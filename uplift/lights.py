@@ -195,7 +195,7 @@ def lights_of(
     if tubes:
         warnings.append(
             f"light{'s' if len(tubes) > 1 else ''} {', '.join(str(light.cluster) for light in tubes)}: `fluorescent` has the "
-            f"spectrum of halophosphate tubes (FL1 to FL6). For a three-band tube or a compact lamp it is about twice as wrong "
+            f"spectrum of halophosphate tubes (FL1 to FL6). For a three-band tube or a compact lamp it is some 2.5 times as wrong "
             f"as no declaration, and colours do not tell which it is. {TUBE_REMEDY[0].upper()}{TUBE_REMEDY[1:]}"
         )
     lights = [_with_suggestion(light, library, observer) for light in lights]
