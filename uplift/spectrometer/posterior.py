@@ -24,6 +24,8 @@ LEAST_WEIGHT = 0.02
 #: The evidence is taken to this power: the model's errors are larger and more alike than the Gaussians say. Found by
 #: making the probabilities of the families true over lamps that the prior does not know (docs/spectrometer.md).
 TEMPER = 0.5
+#: And the probabilities of the families to this one: the least log loss over 3200 readings of 320 lamps (0.31; 0.36 at 1).
+FAMILY_TEMPER = 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +62,8 @@ def posterior(m: Floats, A: Floats, covariance: Floats, prior: Prior, *, positiv
     weights = np.exp(evidence - evidence.max())
     total = float(evidence.max() + np.log(weights.sum()) - TEMPER * np.log(np.diag(noise_root)).sum())
     weights /= weights.sum()
-    families = np.bincount(prior.family, weights, len(FAMILIES)).astype(np.float64)
+    families = np.bincount(prior.family, weights, len(FAMILIES)) ** FAMILY_TEMPER
+    families /= families.sum()
     used = np.flatnonzero(weights >= min(LEAST_WEIGHT, weights.max()))
     part = weights[used] / weights[used].sum()
     estimates, spread, freedom = np.empty((used.size, n)), np.zeros((n, n)), 0.0
