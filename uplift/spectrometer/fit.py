@@ -41,8 +41,8 @@ class Fit:
 def fit(reading: Reading, reflectances: Floats, camera: Floats | CameraModel, prior: Prior, observer: Observer) -> Fit:
     """Return the light on a chart of `reflectances` [24, N], seen by `camera`: sensitivities [N, 3], or a model."""
     if isinstance(camera, CameraModel):
-        found, wide = (_unknown(reading, reflectances, camera, prior, observer, times) for times in (1.0, UNUSUAL))
-        return replace(found, unusual_camera=wide.posterior.log_evidence > found.posterior.log_evidence)
+        usual, wide = (_unknown(reading, reflectances, camera, prior, observer, times) for times in (1.0, UNUSUAL))
+        return replace(usual, unusual_camera=wide.posterior.log_evidence > usual.posterior.log_evidence)
     A = responses(reflectances, anchored(camera, observer), observer.step_nm)
     light = _start(reading, A, observer)
     for turn in range(KNOWN_ROUNDS):

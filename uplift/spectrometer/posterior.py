@@ -63,7 +63,7 @@ def posterior(m: Floats, A: Floats, covariance: Floats, prior: Prior, *, positiv
     total = float(evidence.max() + np.log(weights.sum()) - TEMPER * np.log(np.diag(noise_root)).sum())
     weights /= weights.sum()
     families = np.bincount(prior.family, weights, len(FAMILIES)) ** FAMILY_TEMPER
-    families /= families.sum()
+    families = np.asarray(families / families.sum(), np.float64)
     used = np.flatnonzero(weights >= min(LEAST_WEIGHT, weights.max()))
     part = weights[used] / weights[used].sum()
     estimates, spread, freedom = np.empty((used.size, n)), np.zeros((n, n)), 0.0
