@@ -62,8 +62,8 @@ def posterior(m: Floats, A: Floats, covariance: Floats, prior: Prior, *, positiv
     weights = np.exp(evidence - evidence.max())
     total = float(evidence.max() + np.log(weights.sum()) - TEMPER * np.log(np.diag(noise_root)).sum())
     weights /= weights.sum()
-    families = np.bincount(prior.family, weights, len(FAMILIES)) ** FAMILY_TEMPER
-    families = np.asarray(families / families.sum(), np.float64)
+    shares: Floats = np.bincount(prior.family, weights, len(FAMILIES)).astype(np.float64) ** FAMILY_TEMPER
+    families: Floats = shares / shares.sum()
     used = np.flatnonzero(weights >= min(LEAST_WEIGHT, weights.max()))
     part = weights[used] / weights[used].sum()
     estimates, spread, freedom = np.empty((used.size, n)), np.zeros((n, n)), 0.0
