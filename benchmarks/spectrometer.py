@@ -27,9 +27,9 @@ import numpy.typing as npt
 from benchmarks import rooms as relit
 from uplift.spectrometer import FAMILIES, Reading, anchored, chart_reflectances, measure_light, reading_of
 from uplift.spectrometer.camera import CameraModel, fitted_model, model_of
-from uplift.spectrometer.lamps import PUBLISHED, planck, published
+from uplift.spectrometer.lamps import PUBLISHED, lamps, planck, published
 from uplift.spectrometer.measure import MOST_CHI2
-from uplift.spectrometer.prior import prior_of
+from uplift.spectrometer.prior import Prior, prior_of
 from uplift.spectrum import illuminant, normalised, observer, rgb_space
 
 Float64 = npt.NDArray[np.float64]
@@ -146,6 +146,14 @@ def model_without(curves: Float64, number: int) -> CameraModel:
     return model_of(*fitted_model(np.delete(curves, number, 0), EYES.wavelengths_nm, len(DIRECTIONS)), EYES)
 
 
+def prior_without(lamp: Tested) -> Prior:
+    """The prior that does not know a lamp; of those made for one lamp only the last is kept in memory."""
+    if lamp.left_out and prior_of.cache_info().currsize > 3:
+        prior_of.cache_clear()
+        lamps.cache_clear()
+    return prior_of(EYES, lamp.left_out)
+
+
 def read(light: Float64, curves: Float64, seed: int) -> Reading:
     """What a camera reads of the chart under a light, with noise on every value."""
     chance = np.random.default_rng(seed)
@@ -176,7 +184,7 @@ def relights(
         for turn in range(each):
             camera = chosen[(number + turn * 3) % len(chosen)]
             reading = read(lamp.emission, curves[camera], seed=1000 * number + camera)
-            prior = prior_of(EYES, lamp.left_out)
+            prior = prior_without(lamp)
             found = {
                 "known": measure_light(reading, camera=curves[camera], observer=EYES, prior=prior),
                 "unknown": measure_light(reading, camera=models[camera], observer=EYES, prior=prior),
@@ -201,10 +209,11 @@ def kinds(every: list[Tested], chosen: list[int], curves: Float64, *, known: boo
     truth, found, misfits, refused = [], [], [], 0
     models = {} if known else {k: model_without(curves, k) for k in chosen}
     for number, lamp in enumerate(every):
+        prior = prior_without(lamp)
         for camera in chosen:
             reading = read(lamp.emission, curves[camera], seed=1000 * number + camera)
             instrument = curves[camera] if known else models[camera]
-            light = measure_light(reading, camera=instrument, observer=EYES, prior=prior_of(EYES, lamp.left_out))
+            light = measure_light(reading, camera=instrument, observer=EYES, prior=prior)
             truth.append(FAMILIES.index(lamp.family))
             found.append([light.families[name] for name in FAMILIES])
             misfits.append(light.chi2)
@@ -309,7 +318,7 @@ def main(arguments: list[str] | None = None) -> int:
     if chosen.only in (None, "relight"):
         tested = _spread(fresh, 40 if more else 1000)[:: chosen.every]
         figures["relight"] = list(relights(folder, tested, numbers, curves, chosen.each))
-    everything = [*fresh, *natural(folder)][:: chosen.every]
+    everything = [*fresh, *(left_out_lamps() if more else []), *natural(folder)][:: chosen.every]
     if chosen.only in (None, "kinds"):
         figures["kinds_known"] = kinds(everything, numbers, curves, known=True)
     if chosen.only == "kinds-unknown":

@@ -25,10 +25,11 @@ class LightRecord(_Part):
     type: str
     name: str = ""
     cct: float | None
-    """Kelvin, of the spectrum that was chosen; null where there is none."""
+    """Kelvin, of the spectrum that was chosen; null where there is none. That of a light of unknown kind (`smooth`, not
+    declared) stands half-way between `cct_seen` and D65: the light's own is `cct_seen`."""
     duv: float | None
     cct_seen: float | None
-    """Kelvin, of the light's colour in the map."""
+    """Kelvin, of the light itself: of its colour in the map."""
     cct_sigma: float | None
     """Standard deviation of `cct_seen`, from the spread of the evidence."""
     duv_seen: float | None
@@ -106,6 +107,13 @@ def parse(value: Any, *, place: Path) -> Lights:
 
 
 def summary(lights: Sequence[LightRecord]) -> str:
-    """One line about all lights."""
-    parts = [f"{light.type} {light.cct:.0f} K ({light.share:.0%})" if light.cct else light.type for light in lights]
+    """One line about all lights: each with the CCT it is seen to have, which the spectrum of an unknown one does not."""
+    parts = [f"{light.type}{_kelvin(light)} ({light.share:.0%})" for light in lights]
     return f"{len(lights)} light{'s' if len(lights) != 1 else ''}: " + ", ".join(parts)
+
+
+def _kelvin(light: LightRecord) -> str:
+    seen = light.cct_seen or light.cct
+    if light.type == "smooth" and not light.declared:
+        return f", kind unknown, seen {seen:.0f} K" if seen else ""
+    return f" {light.cct:.0f} K" if light.cct else ""

@@ -7,7 +7,7 @@ from tests.uplift.relit import OBSERVER, SPACE, emission_rgb, open_air, room
 from uplift import UpliftError
 from uplift.cluster import cluster_angles
 from uplift.illuminants import cct_duv_of, family_emission
-from uplift.lights import Declared, lights_of
+from uplift.lights import HALOPHOSPHATE, Declared, lights_of
 from uplift.sky import find_sky
 from uplift.spectrum import illuminant
 
@@ -95,8 +95,38 @@ def test_a_measured_cct_beyond_a_family_is_clamped_with_a_warning():
     lights = found(room(["HP1"]), indoor="fluorescent")
     assert lights[0].cct == pytest.approx(2940.0, abs=0.1)
     assert lights[0].cct_seen == pytest.approx(1962.0, rel=LAMP_CCT)
-    assert len(lights.warnings) == 1
+    assert len(lights.warnings) == 2
     assert "beyond fluorescent (2940 to 6425 K)" in lights.warnings[0]
+
+
+@pytest.mark.parametrize("declared", [True, False])
+def test_a_fluorescent_light_of_no_name_is_warned_of_with_the_remedy(declared):
+    said = [Declared(at=A_AT, type="fluorescent", cct=4000.0)] if declared else []
+    lights = found(room(["D65", "FL11"]), indoor="auto" if declared else "fluorescent", declared=said)
+    assert lights.warnings[-1].startswith("light" if declared else "lights 0, 1")
+    assert "Name the tube: type FL12, FL11 or FL10" in lights.warnings[-1]
+    assert "FL11" in warm(lights).remedy
+
+
+def test_a_fluorescent_light_of_no_name_has_the_asked_cct_and_is_mostly_halophosphate():
+    light = warm(found(room(["D65", "FL3"]), declared=[Declared(at=A_AT, type="fluorescent", cct=3446.0)]))
+    assert light.cct == pytest.approx(3446.0, abs=0.01)
+    halophosphate, smooth = (family_emission(name, 3446.0, OBSERVER) for name in ("fluorescent", "smooth"))
+    expected = HALOPHOSPHATE * halophosphate + (1.0 - HALOPHOSPHATE) * smooth
+    np.testing.assert_allclose(light.emission, expected, rtol=1e-9)
+
+
+def test_a_named_tube_is_the_published_one_without_a_warning():
+    lights = found(room(["D65", "FL11"]), declared=[Declared(at=A_AT, type="FL11")])
+    assert lights.warnings == ()
+    assert warm(lights).remedy == ""
+    np.testing.assert_array_equal(warm(lights).emission, illuminant("FL11", OBSERVER))
+
+
+@pytest.mark.parametrize(("name", "warned"), [("LED-RGB1", True), ("LED-B2", False)])
+def test_a_light_said_to_be_an_led_of_another_colour_than_white_leds_is_warned_of(name, warned):
+    lights = found(room(["D65", name]), declared=[Declared(at=A_AT, type="led")])
+    assert any("side of white phosphor LEDs" in text for text in lights.warnings) == warned
 
 
 def test_a_coloured_light_gets_a_warning_and_still_a_spectrum():

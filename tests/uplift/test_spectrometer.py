@@ -10,9 +10,11 @@ from uplift.illuminants import cct_duv_of
 from uplift.spectrometer import FAMILIES, Reading, anchored, chart_reflectances, measure_light, reading_of
 from uplift.spectrometer.camera import fitted_model, model_of, typical_camera
 from uplift.spectrometer.chart import covariance, responses
+from uplift.spectrometer.fit import fit
 from uplift.spectrometer.lamps import PUBLISHED, lamps, planck, published
 from uplift.spectrometer.posterior import posterior
 from uplift.spectrometer.prior import Prior, prior_of
+from uplift.spectrometer.safety import relight_losses, smooth_of_colour, trusted
 from uplift.spectrum import illuminant, normalised, observer, xyz_of
 
 EYES = observer()
@@ -178,6 +180,42 @@ def test_sensitivities_and_reflectances_of_another_grid_are_refused():
         anchored(camera() * [1, 0, 1], EYES)
     with pytest.raises(UpliftError, match="reflectances of shape"):
         measure_light(read(bulb(2800)), camera=camera(), observer=EYES, reflectances=np.ones((24, 9)))
+
+
+def test_a_camera_unlike_all_others_is_noticed_where_the_camera_is_unknown():
+    def unusual(curves):
+        reading = read(illuminant("LED-B3", EYES), curves=curves)
+        return fit(reading, chart_reflectances(EYES), typical_camera(EYES), prior_of(EYES), EYES).unusual_camera
+
+    narrow = np.exp(-0.5 * ((NM[:, np.newaxis] - [640.0, 500.0, 430.0]) / 14.0) ** 2)
+    assert unusual(narrow) and not unusual(camera())
+
+
+# ---- how far the measured spectrum is followed ----
+
+
+@pytest.mark.parametrize("name", ["FL11", "A", "LED-B1", "HP3"])
+def test_the_smooth_spectrum_has_the_very_colour_of_the_measured(name):
+    light = illuminant(name, EYES)
+    np.testing.assert_allclose(xyz_of(smooth_of_colour(light, EYES), EYES), xyz_of(light, EYES), rtol=1e-9)
+
+
+def test_a_spectrum_that_is_sure_is_followed_and_one_that_is_not_less():
+    light = illuminant("FL11", EYES)
+    shares = []
+    for sigma in (1e-6, 3.0):  # of the mean radiance
+        used, share = trusted(light, (sigma * light.mean()) ** 2 * np.eye(NM.size), chart_reflectances(EYES), EYES)
+        np.testing.assert_allclose(xyz_of(used, EYES), xyz_of(light, EYES), rtol=1e-9)
+        shares.append(share)
+    assert shares[0] == 1.0 > shares[1]
+
+
+def test_believing_the_truth_costs_less_than_believing_another_light():
+    truth = illuminant("FL11", EYES)
+    losses = relight_losses(
+        truth[np.newaxis], [truth, smooth_of_colour(truth, EYES), illuminant("A", EYES)], chart_reflectances(EYES), EYES
+    )[0]
+    assert losses[0] == losses.min() > 0
 
 
 # ---- parts ----

@@ -87,20 +87,24 @@ def _greatest_irradiance(view: View) -> float:
     size = (min(64, view.luminance.shape[1]), min(32, view.luminance.shape[0]))
     small = np.asarray(cv2.resize(view.light, size, interpolation=cv2.INTER_AREA), np.float64)
     small *= view.light.sum() / small.sum()
-    theta = np.pi * (np.arange(size[1]) + 0.5) / size[1]
-    phi = 2.0 * np.pi * ((np.arange(size[0]) + 0.5) / size[0] - 0.5)
-    directions = np.stack(
-        [
-            np.outer(np.sin(theta), np.sin(phi)),
-            np.outer(np.cos(theta), np.ones_like(phi)),
-            -np.outer(np.sin(theta), np.cos(phi)),
-        ],
-        axis=-1,
-    ).reshape(-1, 3)
-    ways = directions.astype(np.float32)
-    cosines = ways @ ways.T
+    ways = _ways(size[1], size[0])
+    # every other way is tried: between two of them, 8 degrees apart at most, an irradiance grows by a thousandth
+    tried = ways.reshape(size[1], size[0], 3)[::2, ::2].reshape(-1, 3)
+    cosines = tried @ ways.T
     np.maximum(cosines, 0.0, out=cosines)
     return float(4.0 * (cosines @ small.ravel().astype(np.float32)).max())  # 4π of the sphere over π
+
+
+def _ways(rows: int, columns: int) -> Image:
+    """Unit vectors [rows · columns, 3] of the directions of a lat-long map."""
+    theta = np.pi * (np.arange(rows) + 0.5) / rows
+    phi = 2.0 * np.pi * ((np.arange(columns) + 0.5) / columns - 0.5)
+    parts = [
+        np.outer(np.sin(theta), np.sin(phi)),
+        np.outer(np.cos(theta), np.ones_like(phi)),
+        -np.outer(np.sin(theta), np.cos(phi)),
+    ]
+    return np.stack(parts, axis=-1).reshape(-1, 3).astype(np.float32)
 
 
 def greatest_nearby(luminance: Floats, radius: int) -> Floats:

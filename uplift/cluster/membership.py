@@ -100,7 +100,7 @@ def membership(
     r, b = np.meshgrid(axis, axis, indexing="ij")
     nodes = _directions(np.stack([r, np.maximum(1.0 - r - b, 0.0), b], axis=-1))
     likelihood = np.exp(_log_likelihood(nodes, lights, SURFACE_SPREAD))
-    prior = np.ones((1, 1, len(ways)))
+    prior = np.ones((1, 1, len(ways)), np.float32)
     if count > 1:
         logs = _log_likelihood(_directions(_surroundings(view, found)), lights, AROUND_SPREAD)
         if found.direct and view.sky is None:
@@ -111,7 +111,7 @@ def membership(
     return Membership(
         np.ascontiguousarray(ways, np.float32),
         np.ascontiguousarray(likelihood, np.float32),
-        np.ascontiguousarray(prior, np.float32),
+        prior,
         np.ascontiguousarray(luminance_weights, np.float32),
         float(lamp_above),
     )
@@ -181,16 +181,13 @@ def _nearness(view: View, found: Evidence, owner: npt.NDArray[np.int64], count: 
     return shares.reshape(count, rows, columns)
 
 
-def _enlarged(table: Floats, size: tuple[int, int]) -> Floats:
+def _enlarged(table: Floats, size: tuple[int, int]) -> Image:
     """A table over the cells of the map [rows, columns, C] on a finer grid, smooth across the seam."""
-    padded = np.concatenate([table[:, -1:], table, table[:, :1]], axis=1)
+    padded = np.concatenate([table[:, -1:], table, table[:, :1]], axis=1).astype(np.float32)
     height, width = size
     step = width // table.shape[1]
-    planes = [
-        cv2.resize(np.ascontiguousarray(padded[..., i]), (width + 2 * step, height), interpolation=cv2.INTER_LINEAR)
-        for i in range(table.shape[2])
-    ]
-    return np.asarray(np.stack(planes, axis=-1)[:, step:-step], np.float64)
+    fine = cv2.resize(padded, (width + 2 * step, height), interpolation=cv2.INTER_LINEAR)
+    return np.ascontiguousarray(fine[:, step:-step])
 
 
 def members(
@@ -208,21 +205,22 @@ def members(
     if rank is None:
         rank = np.arange(tables.shares.shape[1])
     shape = image.shape[:2]
-    first, second = np.zeros(shape, np.uint32), np.zeros(shape, np.uint32)
-    weight = np.ones(shape, np.float32)
-    if len(rank) > 1:
-        _members(
-            image,
-            np.ascontiguousarray(tables.shares.T),
-            tables.colour,
-            tables.place,
-            tables.luminance_weights,
-            np.float32(min(tables.lamp_above, 3e38)),
-            rank,
-            first,
-            second,
-            weight,
-        )
+    if len(rank) == 1:
+        return Members(np.zeros(shape, np.uint32), np.zeros(shape, np.uint32), np.ones(shape, np.float32))
+    # the kernel writes every pixel: planes filled here would cost a pass of one thread over 100 MB at 4096 × 2048
+    first, second, weight = np.empty(shape, np.uint32), np.empty(shape, np.uint32), np.empty(shape, np.float32)
+    _members(
+        image,
+        np.ascontiguousarray(tables.shares.T),
+        tables.colour,
+        tables.place,
+        tables.luminance_weights,
+        np.float32(min(tables.lamp_above, 3e38)),
+        rank,
+        first,
+        second,
+        weight,
+    )
     if sky is not None and outdoor >= 0:
         first[sky], second[sky], weight[sky] = rank[outdoor], rank[outdoor], 1.0
     return Members(first, second, weight)
@@ -234,35 +232,47 @@ def _members(image, shares, colour, place, weights, lamp_above, rank, first, sec
     height, width = image.shape[:2]
     rows, columns = place.shape[:2]
     count, ways = shares.shape
-    nodes = colour.shape[0]
+    last = colour.shape[0] - 1
+    zero, one, huge, nodes = np.float32(0.0), np.float32(1.0), np.float32(3e38), np.float32(colour.shape[0])
     for y in numba.prange(height):
         row = place[y * rows // height]
-        probability = np.empty(ways, np.float32)
+        given = np.empty((count, ways), np.float32)  # the shares of each light, weighted by place
+        ends, before = 0, -1
+        most_light, next_light, part = np.uint32(0), np.uint32(0), one
         for x in range(width):
-            r, g, b = max(image[y, x, 0], 0.0), max(image[y, x, 1], 0.0), max(image[y, x, 2], 0.0)
+            r, g, b = max(image[y, x, 0], zero), max(image[y, x, 1], zero), max(image[y, x, 2], zero)
             whole = r + g + b
-            if not (whole > 0.0 and whole < 3e38):
+            if not (whole > zero and whole < huge):
+                first[y, x], second[y, x], weight[y, x] = np.uint32(0), np.uint32(0), one
                 continue
             to_node = nodes / whole
-            likely = colour[min(int(r * to_node), nodes - 1), min(int(b * to_node), nodes - 1)]
+            node_r, node_b = min(int(r * to_node), last), min(int(b * to_node), last)
             lamp = weights[0] * r + weights[1] * g + weights[2] * b > lamp_above
-            here = row[x * columns // width]
-            for c in range(ways):
-                probability[c] = likely[c] * here[c]
-            best, next_best = -1, -1
-            most, next_most = np.float32(-1.0), np.float32(-1.0)
-            for i in range(count):
-                total = likely[i]
-                if not lamp:
-                    total = np.float32(0.0)
+            if x >= ends:  # another cell of the table of places
+                cell = x * columns // width
+                ends = ((cell + 1) * width + columns - 1) // columns
+                before = -1
+                for i in range(count):
                     for c in range(ways):
-                        total += probability[c] * shares[i, c]
-                if total > most:
-                    next_best, next_most = best, most
-                    best, most = i, total
-                elif total > next_most:
-                    next_best, next_most = i, total
-            first[y, x] = rank[best]
-            second[y, x] = rank[best] if lamp else rank[next_best]
-            if not lamp and most > 0.0:
-                weight[y, x] = most / (most + next_most)
+                        given[i, c] = row[cell, c] * shares[i, c]
+            what = 2 * (node_r * (last + 1) + node_b) + int(lamp)
+            if what != before:  # neighbours of one colour and cell have one answer
+                before = what
+                likely = colour[node_r, node_b]
+                best, next_best = 0, 0
+                most, next_most = -one, -one
+                for i in range(count):
+                    total = likely[i]
+                    if not lamp:
+                        total = zero
+                        for c in range(ways):
+                            total += likely[c] * given[i, c]
+                    if total > most:
+                        next_best, next_most = best, most
+                        best, most = i, total
+                    elif total > next_most:
+                        next_best, next_most = i, total
+                most_light = np.uint32(rank[best])
+                next_light = most_light if lamp else np.uint32(rank[next_best])
+                part = one if lamp or most <= zero else most / (most + next_most)
+            first[y, x], second[y, x], weight[y, x] = most_light, next_light, part

@@ -210,7 +210,8 @@ def _brightest_region(luminance: Floats, mine: Bools) -> int:
     A single pixel will not do: the rim of a lamp of another colour has pixels of any colour, brighter than most lamps.
     """
     reach = max(1, luminance.shape[1] // 100)
-    wrapped = np.pad(np.where(mine, luminance, 0.0), ((0, 0), (reach, reach)), mode="wrap")
+    shone = np.where(mine, luminance, 0.0).astype(np.float32)
+    wrapped = np.pad(shone, ((0, 0), (reach, reach)), mode="wrap")
     own = cv2.blur(wrapped, (2 * reach + 1, 2 * reach + 1), borderType=cv2.BORDER_REPLICATE)[:, reach:-reach]
     return int(np.argmax(np.where(mine, own, -1.0)))
 

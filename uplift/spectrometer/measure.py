@@ -21,6 +21,7 @@ from uplift.spectrometer.fit import Fit, fit
 from uplift.spectrometer.lamps import FAMILIES
 from uplift.spectrometer.posterior import Floats, posterior
 from uplift.spectrometer.prior import Prior, prior_of
+from uplift.spectrometer.safety import trusted
 from uplift.spectrum import Observer, normalised, xyz_of
 
 #: Over 300 lamps unknown to the prior and 11 cameras at 1 % noise the largest was 0.6 with a known camera and 1.2 with an
@@ -42,7 +43,9 @@ class MeasuredLight:
 
     `emission` [N], Y = 1, and its standard deviation `sigma` [N] in the same unit; `cct` in K, `duv` and their standard
     deviations; the probability of each family; `chi2` per degree of freedom; `refused`: why it must not be used, or "";
-    `camera_loss`: how many times larger the standard deviation is for not knowing the camera (1: it is known).
+    `camera_loss`: how many times larger the standard deviation is for not knowing the camera (1: it is known);
+    `trusted`: the share of the measured spectrum in `emission`, the rest being a smooth one of its colour (`safety`), whose
+    distance `sigma` then includes.
     """
 
     emission: Floats
@@ -56,6 +59,7 @@ class MeasuredLight:
     refused: str
     camera_known: bool
     camera_loss: float
+    trusted: float = 1.0
 
     @property
     def family(self) -> str:
@@ -121,12 +125,15 @@ def measure_light(
     emission = normalised(light, observer)
     spread = found.posterior.covariance * unit**2
     cct, duv, cct_sigma, duv_sigma = _colour(emission, spread, observer)
+    used, share = trusted(emission, spread, surfaces, observer)
     refused = _uneven(found)
+    if found.unusual_camera:
+        refused = _UNUSUAL
     if found.chi2 > MOST_CHI2:
         refused = _reason(reading, surfaces, found, known, observer, instrument)
     return MeasuredLight(
-        emission=emission,
-        sigma=np.sqrt(np.maximum(np.diag(spread), 0.0)),
+        emission=used,
+        sigma=np.sqrt(np.maximum(np.diag(spread), 0.0) + (used - emission) ** 2),
         cct=cct,
         duv=duv,
         cct_sigma=cct_sigma,
@@ -136,6 +143,7 @@ def measure_light(
         refused=refused,
         camera_known=not isinstance(instrument, CameraModel),
         camera_loss=_loss(found, known),
+        trusted=share,
     )
 
 
@@ -172,6 +180,12 @@ def _loss(found: Fit, prior: Prior) -> float:
 _TWO_LIGHTS = (
     "the colour of the light changes across the chart: several lights reach it. Photograph it where one of them is much the "
     "brightest"
+)
+
+
+_UNUSUAL = (
+    "the camera's sensitivities are unlike those of the cameras known here, and cannot be told from the light. Give them "
+    "(`balance.camera`)."
 )
 
 

@@ -24,12 +24,16 @@ LEAST_WEIGHT = 0.02
 #: The evidence is taken to this power: the model's errors are larger and more alike than the Gaussians say. Found by
 #: making the probabilities of the families true over lamps that the prior does not know (docs/spectrometer.md).
 TEMPER = 0.5
+#: And the probabilities of the families to this one: the least log loss over 3200 readings of 320 lamps (0.31; 0.36 at 1),
+#: chosen on those same readings.
+FAMILY_TEMPER = 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
     """`light` [N], non-negative, in the unit of A, and its `covariance` [N, N]; `weights` [K] of the Gaussians; `families`
-    [5], the probability of each; `freedom`, how many numbers the reading determined.
+    [5], the probability of each; `freedom`, how many numbers the reading determined; `log_evidence`, tempered as the weights
+    are, but for a constant of the reading.
     """
 
     light: Floats
@@ -37,42 +41,45 @@ class Posterior:
     weights: Floats
     families: Floats
     freedom: float
+    log_evidence: float
 
 
 def posterior(m: Floats, A: Floats, covariance: Floats, prior: Prior, *, positive: bool = True) -> Posterior:
     """Return the light E [N] of m [72] = A [72, N] @ E + errors of `covariance` [72, 72]."""
+    from scipy.linalg import solve_triangular
+
     noise_root = np.linalg.cholesky(covariance)
-    y, B = np.linalg.solve(noise_root, m), np.linalg.solve(noise_root, A)  # whitened: errors are unit
+    white = solve_triangular(noise_root, np.column_stack([m, A]), lower=True)  # whitened: errors are unit
+    y, B = white[:, 0], white[:, 1:]
     scale = m.mean() / (prior.means @ A.mean(axis=0))
-    count, n = prior.means.shape
-    evidence = np.empty(count)
-    estimates, freedoms = np.empty((count, n)), np.empty(count)
-    gains: list[Floats] = []
-    for k in range(count):
-        mean, C = scale[k] * prior.means[k], scale[k] ** 2 * prior.covariances[k]
-        CB = C @ B.T
-        G = B @ CB + np.eye(y.size)
-        L = np.linalg.cholesky(G)
-        r = np.linalg.solve(L, y - B @ mean)
-        gain = np.linalg.solve(L, CB.T)
-        evidence[k] = prior.log_share[k] - TEMPER * (0.5 * r @ r + np.log(np.diag(L)).sum())
-        estimates[k] = mean + gain.T @ r
-        gains.append(gain)
-        freedoms[k] = y.size - (np.linalg.inv(L) ** 2).sum()
+    n = prior.means.shape[1]
+    means = scale[:, np.newaxis] * prior.means
+    CB = (scale**2)[:, np.newaxis, np.newaxis] * (prior.covariances @ B.T)  # [K, N, 72]
+    L = np.linalg.cholesky(B @ CB + np.eye(y.size))
+    off = y - means @ B.T
+    r = np.stack([solve_triangular(L[k], off[k], lower=True) for k in range(len(L))])
+    determinants = np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
+    evidence = prior.log_share - TEMPER * (0.5 * (r**2).sum(axis=1) + determinants)
     weights = np.exp(evidence - evidence.max())
+    total = float(evidence.max() + np.log(weights.sum()) - TEMPER * np.log(np.diag(noise_root)).sum())
     weights /= weights.sum()
-    families = np.bincount(prior.family, weights, len(FAMILIES)).astype(np.float64)
-    used = np.where(weights >= min(LEAST_WEIGHT, weights.max()), weights, 0.0)
-    used /= used.sum()
-    if positive:
-        for k in np.flatnonzero(used).tolist():
-            estimates[k] = _non_negative(y, B, scale[k] * prior.means[k], prior.roots[k] / scale[k])
-    light = used @ estimates
-    spread = np.zeros((n, n))
-    for k in np.flatnonzero(used).tolist():
-        off = estimates[k] - light
-        spread += used[k] * (scale[k] ** 2 * prior.covariances[k] - gains[k].T @ gains[k] + np.outer(off, off))
-    return Posterior(np.maximum(light, 0.0), spread, weights, families, float(used @ freedoms))
+    shares: Floats = np.bincount(prior.family, weights, len(FAMILIES)).astype(np.float64) ** FAMILY_TEMPER
+    families: Floats = shares / shares.sum()
+    used = np.flatnonzero(weights >= min(LEAST_WEIGHT, weights.max()))
+    part = weights[used] / weights[used].sum()
+    estimates, spread, freedom = np.empty((used.size, n)), np.zeros((n, n)), 0.0
+    for i, k in enumerate(used.tolist()):
+        inverse = solve_triangular(L[k], np.eye(y.size), lower=True)
+        gain = inverse @ CB[k].T
+        estimates[i] = means[k] + gain.T @ r[k]
+        if positive:
+            estimates[i] = _non_negative(y, B, means[k], prior.roots[k] / scale[k])
+        spread += part[i] * (scale[k] ** 2 * prior.covariances[k] - gain.T @ gain)
+        freedom += part[i] * (y.size - float((inverse**2).sum()))
+    light = part @ estimates
+    apart = estimates - light
+    spread += (part[:, np.newaxis] * apart).T @ apart
+    return Posterior(np.maximum(light, 0.0), spread, weights, families, freedom, total)
 
 
 def _non_negative(y: Floats, B: Floats, mean: Floats, root: Floats) -> Floats:
