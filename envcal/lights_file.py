@@ -25,9 +25,12 @@ class LightRecord(_Part):
     type: str
     name: str = ""
     cct: float | None
-    """Kelvin, of the spectrum that was chosen; null where there is none. That of a light of unknown kind (`smooth`, not
-    declared) stands half-way between `cct_seen` and D65: the light's own is `cct_seen`."""
+    """Kelvin, of the light: of its spectrum if that was declared, measured or follows from its kind, else `cct_seen`;
+    null where there is none."""
     duv: float | None
+    emission_cct: float | None = None
+    """Kelvin, of `emission`. Of a light of unknown kind (`smooth`, not declared) it stands half-way between `cct` and D65."""
+    emission_duv: float | None = None
     cct_seen: float | None
     """Kelvin, of the light itself: of its colour in the map."""
     cct_sigma: float | None
@@ -72,13 +75,16 @@ def record(light: Light) -> LightRecord:
     def finite(value: float) -> float | None:
         return float(value) if math.isfinite(value) else None
 
+    unknown = light.type == "smooth" and not light.declared
     return LightRecord(
         cluster=light.cluster,
         type=light.type,
         name=light.name,
-        cct=finite(light.cct),
+        cct=finite(light.cct_seen if unknown else light.cct),
+        duv=finite(light.duv_seen if unknown else light.duv),
+        emission_cct=finite(light.cct),
+        emission_duv=finite(light.duv),
         cct_sigma=finite(light.cct_sigma),
-        duv=finite(light.duv),
         cct_seen=finite(light.cct_seen),
         duv_seen=finite(light.duv_seen),
         duv_sigma=finite(light.duv_sigma),
@@ -107,13 +113,11 @@ def parse(value: Any, *, place: Path) -> Lights:
 
 
 def summary(lights: Sequence[LightRecord]) -> str:
-    """One line about all lights: each with the CCT it is seen to have, which the spectrum of an unknown one does not."""
+    """One line about all lights."""
     parts = [f"{light.type}{_kelvin(light)} ({light.share:.0%})" for light in lights]
     return f"{len(lights)} light{'s' if len(lights) != 1 else ''}: " + ", ".join(parts)
 
 
 def _kelvin(light: LightRecord) -> str:
-    seen = light.cct_seen or light.cct
-    if light.type == "smooth" and not light.declared:
-        return f", kind unknown, seen {seen:.0f} K" if seen else ""
-    return f" {light.cct:.0f} K" if light.cct else ""
+    unknown = ", kind unknown," if light.type == "smooth" and not light.declared else ""
+    return f"{unknown} {light.cct:.0f} K" if light.cct else ""
