@@ -29,6 +29,7 @@ def look_up(  # type: ignore[no-untyped-def]
     axes,
     weights,
     t,
+    n,
     surfaces,
     coarse,
     grades,
@@ -41,53 +42,82 @@ def look_up(  # type: ignore[no-untyped-def]
     status,
     counts,
 ):
-    a, b = a_and_b[0], a_and_b[1]
+    """Write the spectra of all pixels of `rgb` that a cell answers, and status PENDING for the others.
+
+    `axes`, `surfaces`, `coarse`, `grades`, `curvatures` and the pixels' arrays are flat; `weights` is [K, 3, N].
+    """
     size = scale.size
+    nine, three = np.uintp(9), np.uintp(3)
+    nodes, cells = np.uintp(3 * n * n), np.uintp(3 * (n - 1) * (n - 1))
+    enough = LINEAR if precision == PREVIEW else CUBIC if precision == FLOAT else 0
     for block in prange(counts.shape[0]):
-        for index in range(block * BLOCK, min(size, (block + 1) * BLOCK)):
+        exact = 0
+        for index in range(np.uintp(block * BLOCK), np.uintp(min(size, (block + 1) * BLOCK))):
+            at, k = index * three, np.uintp(cluster[index])
             # Not float(): that leaves a float32 one, and the divisions below would round to 24 bits.
-            red, green, blue = np.float64(rgb[index, 0]), np.float64(rgb[index, 1]), np.float64(rgb[index, 2])
-            k = np.int64(cluster[index])
-            kind = PENDING
-            G0 = axes[k, 0, 0] * red + axes[k, 0, 1] * green + axes[k, 0, 2] * blue
-            G1 = axes[k, 1, 0] * red + axes[k, 1, 1] * green + axes[k, 1, 2] * blue
-            G2 = axes[k, 2, 0] * red + axes[k, 2, 1] * green + axes[k, 2, 2] * blue
+            red, green, blue = (
+                np.float64(rgb[at]),
+                np.float64(rgb[at + np.uintp(1)]),
+                np.float64(rgb[at + np.uintp(2)]),
+            )
+            row = k * nine
+            G0 = axes[row] * red + axes[row + np.uintp(1)] * green + axes[row + np.uintp(2)] * blue
+            row += three
+            G1 = axes[row] * red + axes[row + np.uintp(1)] * green + axes[row + np.uintp(2)] * blue
+            row += three
+            G2 = axes[row] * red + axes[row + np.uintp(1)] * green + axes[row + np.uintp(2)] * blue
             largest = max(G0, G1, G2)
+            kind = PENDING
             c0 = c1 = c2 = dimness = 0.0
             # Their reciprocals are numbers too.
             if 1e-290 < largest < 1e290:
                 one = 1.0 / largest
-                m, i, j, p, q, grade = cell_of(grades[k], G0 * one, G1 * one, G2 * one)
-                if precision == PREVIEW and grade & LINEAR:
-                    c0, c1, c2, dimness = linear(coarse[k], m, i, j, p, q)
+                inside, cell, node, p, q = cell_of(n, G0 * one, G1 * one, G2 * one)
+                cell += k * cells
+                node += k * nodes
+                grade = np.int64(grades[cell]) if inside else 0
+                if grade & enough:
                     kind = EXACT
+                if precision == PREVIEW and kind == EXACT:
+                    c0, c1, c2, dimness = linear(coarse, node, n, p, q)
                 elif grade:
-                    c0, c1, c2, dimness = cubic(surfaces[k], m, i, j, p, q)
-                    if precision != ALL and grade & CUBIC:
-                        kind = EXACT
-                    else:
-                        level = 1.0 / dimness
+                    c0, c1, c2, dimness = cubic(surfaces, node, n, p, q)
+                    if kind == PENDING:
                         y = luminance_weights[0] * red + luminance_weights[1] * green + luminance_weights[2] * blue
                         aim = (1e-14 if precision == ALL else 1e-8) * min(1.0, y * one)
-                        g0, g1, g2 = level * one * G0, level * one * G1, level * one * G2
-                        curvature = curvatures[k, m, i, j]
-                        for _ in range(6):
-                            c0, c1, c2, error = newton(weights[k], t, g0, g1, g2, c0, c1, c2)
-                            # The next residual is at most this, so no need to look.
-                            if curvature * error * error <= aim:
-                                kind = EXACT
-                                break
-                    n1, n2 = c1 * b - 2.0 * c0 * (a * b * b), c2 - c1 * (a * b) + c0 * ((a * b) * (a * b))
-                    if precision == ALL and abs(n2) > _CANCELLING:
-                        c0, c1, c2, summit = about(c0, c1, c2, 0.0)
-                        c0, c1, c2, summit = in_nm(c0, c1, c2, summit, a, b)
-                        c0, c1, c2 = stored(c0, c1, c2, summit, TRIES)
-                    else:
-                        c0, c1, c2 = c0 * (b * b), n1, n2
-            coefficients[index, 0] = c0
-            coefficients[index, 1] = c1
-            coefficients[index, 2] = c2
+                        level = one / dimness
+                        kind, c0, c1, c2 = _solved(
+                            weights, k, t, level * G0, level * G1, level * G2, c0, c1, c2, curvatures[cell], aim
+                        )
+                    c0, c1, c2 = _in_nm(c0, c1, c2, a_and_b[0], a_and_b[1], precision == ALL)
+            coefficients[at] = c0
+            coefficients[at + np.uintp(1)] = c1
+            coefficients[at + np.uintp(2)] = c2
             scale[index] = largest * dimness
             emission[index] = k
             status[index] = kind
-            counts[block, kind] += 1
+            exact += kind == EXACT
+        counts[block, EXACT] = exact
+        counts[block, PENDING] = min(size, (block + 1) * BLOCK) - block * BLOCK - exact
+
+
+@njit(cache=True, error_model="numpy")
+def _solved(weights, k, t, g0, g1, g2, c0, c1, c2, curvature, aim):  # type: ignore[no-untyped-def]
+    """Return (status, c0, c1, c2): whole Newton steps, until the next residual is at most `aim`."""
+    for _ in range(6):
+        c0, c1, c2, error = newton(weights[k], t, g0, g1, g2, c0, c1, c2)
+        # The next residual is at most this, so no need to look.
+        if curvature * error * error <= aim:
+            return EXACT, c0, c1, c2
+    return PENDING, c0, c1, c2
+
+
+@njit(cache=True, error_model="numpy")
+def _in_nm(c0, c1, c2, a, b, exact):  # type: ignore[no-untyped-def]
+    """Return coefficients for λ in nm, rounded together where they cancel."""
+    n1, n2 = c1 * b - 2.0 * c0 * (a * b * b), c2 - c1 * (a * b) + c0 * ((a * b) * (a * b))
+    if exact and abs(n2) > _CANCELLING:
+        c0, c1, c2, summit = about(c0, c1, c2, 0.0)
+        c0, c1, c2, summit = in_nm(c0, c1, c2, summit, a, b)
+        return stored(c0, c1, c2, summit, TRIES)
+    return c0 * (b * b), n1, n2
