@@ -70,24 +70,8 @@ def grades_of(
     return (usable * USABLE + linear_enough * LINEAR + cubic_enough * CUBIC).astype(np.uint8), curvature
 
 
-# The three below take flat arrays and one unsigned index. A slice would count a reference more and less in each pixel,
+# The two below take flat arrays and one unsigned index. A slice would count a reference more and less in each pixel,
 # for which the threads wait for each other; a signed index could be negative, which takes a choice more.
-
-
-@njit(cache=True, error_model="numpy")
-def cell_of(n, r, g, b):  # type: ignore[no-untyped-def]
-    """Return (inside, cell, node, p, q) of a colour whose largest component is 1: whether a table of `n` nodes an axis
-    covers it, the flat index of its cell and of the cell's first node, and the place in it. For compiled code only.
-    """
-    # Choices, not branches, which neighbouring pixels would often make wrong guesses of.
-    m = 0 if (r >= g) & (r >= b) else (1 if g >= b else 2)
-    p = g if m == 0 else (b if m == 1 else r)
-    q = b if m == 0 else (r if m == 1 else g)
-    # NaN fails this too.
-    inside = (p >= 0.0) & (q >= 0.0)
-    p, q = (p * (n - 1), q * (n - 1)) if inside else (0.0, 0.0)
-    i, j = min(int(p), n - 2), min(int(q), n - 2)
-    return inside, np.uintp((m * (n - 1) + i) * (n - 1) + j), np.uintp((m * n + i) * n + j), p - i, q - j
 
 
 @njit(cache=True, error_model="numpy", fastmath=SUMS)
