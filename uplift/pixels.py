@@ -114,6 +114,7 @@ def fallback_tables(
 
 
 Precision = Literal["exact", "float", "preview"]
+_LANES = 4
 _PRECISIONS: dict[str, int] = {"exact": ALL, "float": FLOAT, "preview": PREVIEW}
 
 
@@ -160,22 +161,25 @@ def uplift_pixels(
     scale = np.empty(size)
     emission = np.empty(size, np.uint32)
     status = np.empty(size, np.uint8)
+    # Wavelengths without weight fill up the last SIMD lanes of a sum.
+    blank = -first.t.size % _LANES
     # One row of counts a block, so that no two threads add to the same number.
     counts = np.zeros((-(-size // BLOCK), PENDING + 1), np.int64)
     look_up(
-        values,
+        values.reshape(-1),
         labels,
         _PRECISIONS[precision],
-        np.stack([table.axes for table in tables]),
-        np.stack([table.weights for table in tables]),
-        first.t,
-        np.stack([table.surface for table in tables]),
-        np.stack([table.coarse for table in tables]),
-        np.stack([table.grades for table in tables]),
-        np.stack([table.curvature for table in tables]),
+        np.concatenate([table.axes.reshape(-1) for table in tables]),
+        np.stack([np.pad(table.weights, ((0, 0), (0, blank))) for table in tables]),
+        np.pad(first.t, (0, blank)),
+        first.solved.shape[1],
+        np.concatenate([table.surface.reshape(-1) for table in tables]),
+        np.concatenate([table.coarse.reshape(-1) for table in tables]),
+        np.concatenate([table.grades.reshape(-1) for table in tables]),
+        np.concatenate([table.curvature.reshape(-1) for table in tables]),
         first.space.luminance_weights,
         np.array(normalisation(first.observer)),
-        coefficients,
+        coefficients.reshape(-1),
         scale,
         emission,
         status,

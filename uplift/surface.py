@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import njit, prange, types
+from numba.extending import intrinsic
 
 from uplift.difference import delta_e_2000
 from uplift.newton import integrals, newton
+from uplift.sigmoid import SUMS
 from uplift.spectrum import Float64, RGBSpace
 
 PREVIEW_DELTA_E, FLOAT_DELTA_E = 0.05, 1e-4  # ΔE2000 that the two coarser precisions allow
@@ -59,8 +62,8 @@ def grades_of(
     cells = nodes.shape[1] - 1
     curvature = np.empty((3, cells, cells))
     asked, shown = np.ones((3, cells, cells, 2, 3)), np.ones((3, cells, cells, 2, 3))
-    flat = np.ascontiguousarray(surface[..., 0, :])
-    _tried(weights, t, nodes, solved, surface, flat, curvature, asked, shown)
+    flat = np.ascontiguousarray(surface[..., 0, :]).reshape(-1)
+    _tried(weights, t, nodes, solved, surface.reshape(-1), flat, curvature, asked, shown)
     difference = delta_e_2000(asked @ rgb_from_axes.T, shown @ rgb_from_axes.T, space, white=None)
     usable = np.isfinite(curvature)
     # Twice and four times: the worst point of a cell was not among those tried.
@@ -69,58 +72,72 @@ def grades_of(
     return (usable * USABLE + linear_enough * LINEAR + cubic_enough * CUBIC).astype(np.uint8), curvature
 
 
-@njit(cache=True, error_model="numpy")
-def cell_of(grades, r, g, b):  # type: ignore[no-untyped-def]
-    """Return (m, i, j, p, q, grade): the cell of a colour whose largest component is 1, the place in it, and the cell's
-    grade, 0 outside of the table. For compiled code only.
+# The three below take flat arrays and one unsigned index. A slice would count a reference more and less in each pixel,
+# for which the threads wait for each other; a signed index could be negative, which takes a choice more.
+
+
+@intrinsic
+def _blend(_, values, starts, weights):  # type: ignore[no-untyped-def]
+    """Return Σ weight · values[start : start + 4] over two tuples, as four numbers side by side in one SIMD register: the
+    compiler finds such sums in loops only, and these four are too few to be one.
     """
-    # Choices, not branches, which neighbouring pixels would often make wrong guesses of.
-    m = 0 if (r >= g) & (r >= b) else (1 if g >= b else 2)
-    p = g if m == 0 else (b if m == 1 else r)
-    q = b if m == 0 else (r if m == 1 else g)
-    cells = grades.shape[1]
-    # NaN fails this too.
-    if not (p >= 0.0 and q >= 0.0):
-        return m, 0, 0, 0.0, 0.0, np.uint8(0)
-    p, q = p * cells, q * cells
-    i, j = min(int(p), cells - 1), min(int(q), cells - 1)
-    return m, i, j, p - i, q - j, grades[m, i, j]
+    count = len(weights)
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        array = context.make_array(values)(context, builder, arguments[0])
+        double, lane = ir.DoubleType(), ir.IntType(32)
+        four = ir.VectorType(double, 4)
+        total = ir.Constant(four, [0.0] * 4)
+        for k in range(count):
+            place = builder.gep(array.data, [builder.extract_value(arguments[1], k)])
+            node = builder.load(builder.bitcast(place, four.as_pointer()), align=8, typ=four)
+            weight = builder.insert_element(
+                ir.Constant(four, ir.Undefined), builder.extract_value(arguments[2], k), lane(0)
+            )
+            weight = builder.shuffle_vector(
+                weight, ir.Constant(four, ir.Undefined), ir.Constant(ir.VectorType(lane, 4), [0] * 4)
+            )
+            total = builder.fadd(total, builder.fmul(weight, node, ("contract",)), ("contract",))
+        lanes = [builder.extract_element(total, lane(k)) for k in range(4)]
+        return context.make_tuple(builder, signature.return_type, lanes)
+
+    return types.UniTuple(types.float64, 4)(values, starts, weights), generate
 
 
-@njit(cache=True, error_model="numpy")
-def cubic(surface, m, i, j, p, q):  # type: ignore[no-untyped-def]
-    """Return (c0, c1, c2, 1/level) at (p, q) in 0 … 1 within a cell: Hermite's cubics both ways. For compiled code
-    only.
+@njit(cache=True, error_model="numpy", fastmath=SUMS)
+def cubic(surface, node, n, p, q):  # type: ignore[no-untyped-def]
+    """Return (c0, c1, c2, 1/level) at (p, q) in 0 … 1 within a cell of the flat `surface`, of `n` nodes an axis, given
+    the cell's first node: Hermite's cubics both ways. For compiled code only.
     """
     p2, q2 = p * p, q * q
     a1, b1 = (3.0 - 2.0 * p) * p2, (3.0 - 2.0 * q) * q2
     a0, b0 = 1.0 - a1, 1.0 - b1
     u1, v1 = (p - 1.0) * p2, (q - 1.0) * q2
     u0, v0 = p - p2 + u1, q - q2 + v1
-    c0 = c1 = c2 = dimness = 0.0
-    for corner in range(4):
-        node = surface[m, i + corner // 2, j + corner % 2]
-        a, u = (a0, u0) if corner < 2 else (a1, u1)
-        b, v = (b0, v0) if corner % 2 == 0 else (b1, v1)
-        w0, w1, w2, w3 = a * b, u * b, a * v, u * v
-        c0 += w0 * node[0, 0] + w1 * node[1, 0] + w2 * node[2, 0] + w3 * node[3, 0]
-        c1 += w0 * node[0, 1] + w1 * node[1, 1] + w2 * node[2, 1] + w3 * node[3, 1]
-        c2 += w0 * node[0, 2] + w1 * node[1, 2] + w2 * node[2, 2] + w3 * node[3, 2]
-        dimness += w0 * node[0, 3] + w1 * node[1, 3] + w2 * node[2, 3] + w3 * node[3, 3]
-    return c0, c1, c2, dimness
+    a = node * np.uintp(16)
+    c = a + np.uintp(n) * np.uintp(16)
+    b, d = a + np.uintp(16), c + np.uintp(16)
+    one, two, three = np.uintp(4), np.uintp(8), np.uintp(12)
+    starts = (
+        a, a + one, a + two, a + three, b, b + one, b + two, b + three,
+        c, c + one, c + two, c + three, d, d + one, d + two, d + three,
+    )  # fmt: skip
+    weights = (
+        a0 * b0, u0 * b0, a0 * v0, u0 * v0, a0 * b1, u0 * b1, a0 * v1, u0 * v1,
+        a1 * b0, u1 * b0, a1 * v0, u1 * v0, a1 * b1, u1 * b1, a1 * v1, u1 * v1,
+    )  # fmt: skip
+    return _blend(surface, starts, weights)
 
 
-@njit(cache=True, error_model="numpy")
-def linear(values, m, i, j, p, q):  # type: ignore[no-untyped-def]
-    """Return four values at (p, q) in 0 … 1 within a cell of `values` [3, n, n, 4], bilinear. For compiled code only."""
-    w, x, y, z = (1.0 - p) * (1.0 - q), (1.0 - p) * q, p * (1.0 - q), p * q
-    n, e, s, d = values[m, i, j], values[m, i, j + 1], values[m, i + 1, j], values[m, i + 1, j + 1]
-    return (
-        w * n[0] + x * e[0] + y * s[0] + z * d[0],
-        w * n[1] + x * e[1] + y * s[1] + z * d[1],
-        w * n[2] + x * e[2] + y * s[2] + z * d[2],
-        w * n[3] + x * e[3] + y * s[3] + z * d[3],
-    )
+@njit(cache=True, error_model="numpy", fastmath=SUMS)
+def linear(values, node, n, p, q):  # type: ignore[no-untyped-def]
+    """Return four values at (p, q) in 0 … 1 within a cell of the flat `values`, of `n` nodes an axis, given the cell's
+    first node: bilinear. For compiled code only.
+    """
+    a = node * np.uintp(4)
+    c = a + np.uintp(n) * np.uintp(4)
+    weights = ((1.0 - p) * (1.0 - q), (1.0 - p) * q, p * (1.0 - q), p * q)
+    return _blend(values, (a, a + np.uintp(4), c, c + np.uintp(4)), weights)
 
 
 @njit(cache=True, error_model="numpy")
@@ -143,6 +160,7 @@ def _cell(weights, t, nodes, solved, surface, flat, m, i, j, asked, shown):  # t
     if max(steepest, abs(nodes[m, i + 1, j, 0]), abs(nodes[m, i + 1, j + 1, 0])) > _NARROW:
         return np.inf
     largest = g0 = g1 = g2 = 0.0
+    node = np.uintp((m * n + i) * n + j)
     for point in range(6):
         # First the middle by both ways, then the four quarters.
         p, q = 0.5, 0.5
@@ -150,9 +168,9 @@ def _cell(weights, t, nodes, solved, surface, flat, m, i, j, asked, shown):  # t
             p, q = 0.25 + 0.5 * (point % 2), 0.25 + 0.5 * (point // 4)
         d0, d1, d2 = permuted(m, 1.0, (i + p) / (n - 1), (j + q) / (n - 1))
         if point == 0:
-            c0, c1, c2, dimness = linear(flat, m, i, j, p, q)
+            c0, c1, c2, dimness = linear(flat, node, n, p, q)
         else:
-            c0, c1, c2, dimness = cubic(surface, m, i, j, p, q)
+            c0, c1, c2, dimness = cubic(surface, node, n, p, q)
         f = integrals(weights, t, 0.0, c0, c1, c2)
         f0, f1, f2 = f[0] * dimness, f[1] * dimness, f[2] * dimness
         error = max(abs(f0 - d0), abs(f1 - d1), abs(f2 - d2)) / dimness
