@@ -156,7 +156,7 @@ def scene_with_chart(seed: int) -> Scene:
 
 def _thinnest(corners: Float64) -> float:
     """Pixels across a patch where it is thinnest, on average over the chart."""
-    area = 0.5 * abs(np.cross(corners[2, :] - corners[0, :], corners[3, :] - corners[1, :]).item())
+    area = 0.5 * abs(float(np.linalg.det(np.stack([corners[2] - corners[0], corners[3] - corners[1]]))))
     longest = np.hypot(*(np.roll(corners, -1, 0) - corners).T).max()
     return float(min(area / longest / 4.1, area / longest / 6.1 * 16.75 / 11.25))
 

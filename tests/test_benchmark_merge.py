@@ -28,7 +28,6 @@ def test_envcal_is_measured_beside_the_ideal_and_a_missing_library_is_named() ->
     for decade, best in ideal.items():
         assert rows[0].rmse[decade] < 1.05 * best
         assert abs(rows[0].bias[decade]) < 3e-3
-    assert rows[0].peak_per_pixel > 0
     assert rows[0].fringe < 1.5 * rows[0].fringe_elsewhere
     shown = merge.table(rows, ideal)
     assert "ratio to the ideal" in shown

@@ -39,7 +39,7 @@ def furnace(tmp_path_factory):
     write_furnace(folder, "environment", Furnace("D65", 80.0), 64, exposures)
     (folder / "pipeline.yaml").write_text(
         "capture: {reference: reference_*.dng, environment: environment_*.dng}\n"
-        "balance: {luminance: keep}\nspectra: {wavelengths: 380:780:5, half: false}\n"
+        "balance: {luminance: keep}\ncluster: {chart_spectrum: off}\nspectra: {wavelengths: 380:780:5, half: false}\n"
     )
     loaded = config.load(folder / "pipeline.yaml")
     run_pipeline(loaded, STAGES[:-1], reporter=Reporter(quiet=True))
@@ -88,3 +88,14 @@ def test_exactly_white_pixels_have_exactly_the_spectrum_of_d65(tmp_path):
     expected = 0.7 * illuminant("D65", observer())
     # float32 coefficients: c0 λ², c1 λ and c2 are about 0, so a few units in the last place remain.
     assert spectrum == pytest.approx(np.broadcast_to(expected, spectrum.shape), rel=3e-6)
+
+
+def test_the_chart_measures_the_light_as_d65_within_its_own_doubt(furnace):
+    from envcal import profile
+    from uplift.spectrum import illuminant, observer
+
+    light = profile.read(furnace / "balance" / "profile.json").light
+    assert light is not None and not light.refused and light.family == "daylight"
+    off = (np.asarray(light.emission) - illuminant("D65", observer())) / np.asarray(light.sigma)
+    # Without noise, but with a camera it does not know: three standard deviations at any wavelength.
+    assert np.abs(off).max() < 3

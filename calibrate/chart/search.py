@@ -62,7 +62,8 @@ class Candidate:
     @property
     def rank(self) -> float:
         # A mirror in the room may show the chart too: the chart itself comes first, then its image, then anything else.
-        return self.score + (0 if self.aligned else _NOT_ALIGNED) + (LARGEST_SCORE if self.mirrored else 0)
+        none = 0.0 if self.score <= LARGEST_SCORE else 2 * LARGEST_SCORE
+        return self.score + (0 if self.aligned else _NOT_ALIGNED) + (LARGEST_SCORE if self.mirrored else 0) + none
 
 
 def better(best: Candidate | None, candidate: Candidate) -> Candidate:

@@ -65,7 +65,7 @@ def test_wrong_usage_is_status_2():
     assert envcal("nonsense").exit_code == 2
     assert envcal("uplift", "a.exr", "-o", "b.exr", "--method", "magic").exit_code == 2
     assert envcal("uplift", "a.exr", "-o", "b.exr", "--clusters", "c.exr", "--indoor", "led").exit_code == 2
-    assert envcal("spectra", "a.exr", "-o", "b.exr", "--wavelengths", "400").exit_code == 2
+    assert envcal("spectra", "a.exr", "-o", "b.exr", "--wavelengths", "violet").exit_code == 2
     assert envcal("correct", "a.exr", "-o", "b.exr", "--chart", "1,2,3").exit_code == 2
     assert envcal("balance", "a.exr", "-o", "b.exr", "--lamp", "1,2,3").exit_code == 2
     assert envcal("correct", "a.exr", "-o", "b.exr", "--profile", "p.json", "--space", "sRGB").exit_code == 2
