@@ -114,10 +114,10 @@ def parse(value: Any, *, place: Path) -> Lights:
 
 def summary(lights: Sequence[LightRecord]) -> str:
     """One line about all lights."""
-    parts = [f"{light.type}{_kelvin(light)} ({light.share:.0%})" for light in lights]
+    parts = [f"{_kind_of(light)} ({light.share:.0%})" for light in lights]
     return f"{len(lights)} light{'s' if len(lights) != 1 else ''}: " + ", ".join(parts)
 
 
-def _kelvin(light: LightRecord) -> str:
-    unknown = ", kind unknown," if light.type == "smooth" and not light.declared else ""
-    return f"{unknown} {light.cct:.0f} K" if light.cct else ""
+def _kind_of(light: LightRecord) -> str:
+    kind = "of unknown kind" if light.type == "smooth" and not light.declared else light.type
+    return f"{kind} {light.cct:.0f} K" if light.cct else kind
