@@ -1,6 +1,6 @@
 """pipeline.yaml → frozen settings. Every mistake is reported at once, with file and line."""
 
-from envcal.config.loading import Loaded, load, load_lights, schema
+from envcal.config.loading import Loaded, load, load_lights, schema, stage_settings
 from envcal.config.models import (
     BalanceSettings,
     CaptureSettings,
@@ -43,4 +43,5 @@ __all__ = [
     "parse_bands",
     "parse_wavelengths",
     "schema",
+    "stage_settings",
 ]

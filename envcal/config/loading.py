@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -14,6 +14,8 @@ from envcal.config.mistakes import line_of, told
 from envcal.config.models import DeclaredLight, Frames, Pipeline, Settings
 from envcal.config.reading import override, plain, read_yaml
 from envcal.errors import EnvcalError
+
+Model = TypeVar("Model", bound=Settings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +61,25 @@ def load(path: Path, *, overrides: Sequence[str] = ()) -> Loaded:
     except ValidationError as error:
         raise EnvcalError("\n".join(told(path, tree, error, set_by))) from None
     return _resolve(path, tree, settings)
+
+
+def stage_settings(model: type[Model], stage: str, overrides: Sequence[str], **given: Any) -> Model:
+    """The settings of one stage from `--set key=value` alone; the stage's own name may stand before the key.
+
+    What is in `given` and not None comes from another option. Raises an `EnvcalError` listing every mistake.
+    """
+    tree: dict[str, Any] = {}
+    set_by: dict[tuple[str, ...], str] = {}
+    for text in overrides:
+        set_by[override(tree, text.strip().removeprefix(f"{stage}."))] = text
+    named = {key: value for key, value in given.items() if value is not None}
+    twice = sorted(tree.keys() & named.keys())
+    if twice:
+        raise EnvcalError(f"--set {twice[0]}: is also given as an option of its own; leave one of the two out.")
+    try:
+        return model.model_validate(tree | named)
+    except ValidationError as error:
+        raise EnvcalError("\n".join(told(Path("--set"), tree, error, set_by, model=model))) from None
 
 
 def load_lights(path: Path, library: Path | None = None) -> tuple[DeclaredLight, ...]:
