@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from envcal import atomic, exr, provenance
-from envcal.export.opened import Opened, bands, open_uplift
+from envcal.export.opened import Opened, bands, open_uplift, undeclared
 from envcal.export.pbrt import spd
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
@@ -33,6 +33,7 @@ _FINE = np.arange(360.0, 831.0, 1.0)
 
 def export_basis(source: Path, folder: Path, *, progress: Progress = silent) -> Outcome:
     """Write a map of coefficients and three film responses for each light, `passes.py` and a README.md into `folder`."""
+    atomic.check_folder(folder)
     opened = open_uplift(source)
     coefficients, scale, cluster = _whole(opened)
     used = [int(k) for k in np.unique(cluster[scale > 0])]
@@ -56,7 +57,7 @@ def export_basis(source: Path, folder: Path, *, progress: Progress = silent) -> 
     atomic.write_text(folder / "README.md", _readme(source.name, lights))
     height, width = opened.size
     figures = {"lights": lights, "rows": 2 * height + 1, "columns": width}
-    return Outcome(f"{len(lights)} passes with maps of {width}×{2 * height + 1}", figures)
+    return Outcome(f"{len(lights)} passes with maps of {width}×{2 * height + 1}", figures, undeclared(opened.about))
 
 
 def _whole(opened: Opened) -> tuple[Float32, Float32, npt.NDArray[np.uint32]]:
@@ -238,7 +239,9 @@ In the scene, the environment and the film of the sensor read
 </film>
 ```
 
-and nothing else shines; other lights are rendered once, by themselves, and added. Mitsuba's convention holds: the middle of the
+`passes.py` fills in `$basis` (the folder it stands in) and `$light` (`light0`, …) for each pass, so write them as they stand here.
+`blank.exr` is black: `passes.py` puts a light's data in its place, and without it nothing is lit. Nothing else in the scene shines;
+other lights are rendered once, by themselves, and added. Mitsuba's convention holds: the middle of the
 map stands towards +Z, `to_world` turns it.
 
 ## How it works

@@ -71,6 +71,17 @@ def open_uplift(path: Path) -> Opened:
     return Opened(path, header, about, seen, rgb_space(about.space, observer=seen))
 
 
+def undeclared(about: About) -> list[str]:
+    """Return a hint to declare the lights if the kind of none of them is known: their spectra are then guesses."""
+    lights = [cluster for cluster in about.clusters if cluster.type != "fallback"]
+    if about.method != "constrained" or not lights or any(light.type != "smooth" for light in lights):
+        return []
+    return [
+        "the kind of no light is known, so all spectra are smooth guesses. If you know the lamps, declare them (`envcal "
+        "uplift MAP --lights lights.yaml`, or `cluster: lights` in pipeline.yaml; docs/stages/cluster.md says how)."
+    ]
+
+
 def bands(opened: Opened) -> Iterator[Band]:
     """Yield the map from the top, some rows at a time."""
     rows = max(1, TILE_PIXELS // opened.size[1])

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from envcal import atomic, exr, provenance
 from envcal.export.loss import loss
 from envcal.export.octahedral import resampled, side_of
-from envcal.export.opened import Opened, bands, conversion, open_uplift
+from envcal.export.opened import Opened, bands, conversion, open_uplift, undeclared
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
 from uplift.spectrum import rgb_space
@@ -32,6 +32,7 @@ def export_pbrt(source: Path, folder: Path, *, half: bool = False, progress: Pro
 
     The figures say what pbrt's own spectra lose against the file's: ΔE2000 of ColorChecker patches lit by single pixels.
     """
+    atomic.check_folder(folder)
     opened = open_uplift(source)
     latlong, cluster, clipped = _latlong(opened)
     used = [int(k) for k in np.unique(cluster[latlong.max(axis=-1) > 0])]
@@ -93,6 +94,7 @@ def export_pbrt(source: Path, folder: Path, *, half: bool = False, progress: Pro
         warnings.append(f"{clipped} pixels lie outside of Rec. 2020; pbrt takes negative components for 0.")
     if overflow:
         warnings.append(f"{overflow} texels are above 65504 and were set to it. Leave out --half.")
+    warnings += undeclared(opened.about)
     return Outcome(f"{len(lights)} lights of {side}×{side} for pbrt-v4", figures, warnings)
 
 
@@ -150,6 +152,7 @@ def _readme(figures: dict[str, Any], source: str) -> str:
         f"| {light['mean_luminance']:.4g} | {light['source']} |"
         for light in figures["lights"]
     )
+    overflow = f"; {figures['overflow']} texels were too bright for a half float" if figures["half"] else ""
     return f"""# {source} for pbrt-v4
 
 `Include "environment.pbrt"` in the world block of a scene. The maps are {figures["side"]}×{figures["side"]}, linear Rec. 2020, in the square
@@ -165,7 +168,7 @@ A map value of 1 is a radiance of 1, white, in the rendered image at pbrt's defa
 ## What is kept
 
 Colours and light: the mean luminance over the sphere is {figures["energy_ratio"]:.5f} of the original's. {figures["negative"]} pixels lay
-outside of Rec. 2020 and lost their negative components; {figures["overflow"]} texels were too bright for a half float.
+outside of Rec. 2020 and lost their negative components{overflow}.
 
 ## What is lost
 

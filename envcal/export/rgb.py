@@ -12,6 +12,8 @@ from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
 from uplift.spectrum import rgb_space
 
+#: The space whose triangle encloses the spectral locus.
+WIDEST = "ACES2065-1"
 #: The largest finite half float.
 LARGEST_HALF = 65504.0
 
@@ -30,6 +32,7 @@ def export_rgb(
     possible colour are shown as they will light. White is kept (Bradford). Negative components, colours outside of
     `space`, are kept and counted. With `half`, what is brighter than a half float can hold is set to 65504 and counted.
     """
+    atomic.check_folder(folder)
     opened = open_uplift(source)
     target = rgb_space(space, observer=opened.observer)
     matrix = conversion(opened.space, target)
@@ -76,9 +79,10 @@ def export_rgb(
             f"65504) and were set to 65504: {figures['light_lost']:.2%} of the light is lost. Leave out --half."
         )
     if outside:
+        wider = "" if space == WIDEST else f"; {WIDEST} holds all colours that light can have (`--space {WIDEST}`)"
         warnings.append(
             f"{outside} of {height * width} pixels have colours outside of {space}: a component is negative. Renderers "
-            f"clip it, which changes the colour; a wider space such as ACEScg loses less."
+            f"clip it, which changes the colour{wider}."
         )
     atomic.write_text(folder / "README.md", _readme(figures, opened.space.name))
     kind = "half" if half else "float"
@@ -86,15 +90,24 @@ def export_rgb(
 
 
 def _readme(figures: dict[str, object], source: str) -> str:
+    overflow = (
+        f"; set to 65504, being brighter than a half float can hold: {figures['overflow']}" if figures["half"] else ""
+    )
     return f"""# RGB map
 
 `{figures["file"]}`: lat-long, linear {figures["space"]} (the header's `chromaticities`), {"half" if figures["half"] else "float"}.
-Row 0 is up, the first column's left edge is u = 0; values are relative to a D65 white of 1.
+
+**Orientation.** The first row is up (+Y). Seen from inside, with the middle of the map straight ahead (−Z), a quarter of the
+width to the right of the middle is at the right hand (+X), and both edges are behind (+Z). Renderers have frames of their own:
+where the middle comes out elsewhere, turn the light about the vertical.
+
+**Brightness.** Relative: (1, 1, 1) is the white of luminance 1, and stays (1, 1, 1) in a renderer
+that takes maps as they are. In a map from `envcal run` that is the white of the D65 lamp (unless `balance: {{luminance: keep}}`).
+No unit such as cd/m² stands behind it; set the exposure, or the strength of the light, in the renderer.
 
 White stays white: between spaces of different white points ({source} has D65; ACES spaces have ACES white, about D60) the
 colours are adapted by Bradford's method.
 
 What is lost: the spectra. A renderer that uplifts this map by itself gives every pixel a smooth spectrum under one white, and
-what it lights will look as under that, not as under the lamps of the place. Pixels outside of the space: {figures["outside"]};
-pixels that a half float could not hold: {figures["overflow"]}.
+what it lights will look as under that, not as under the lamps of the place. Pixels outside of the space: {figures["outside"]}{overflow}.
 """
