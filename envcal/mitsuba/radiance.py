@@ -18,8 +18,6 @@ from envcal.mitsuba.loading import CENTRE_NM, HALF_NM, Float64
 
 #: Emissions that one packet of 16 floats brings, in pairs. Maps have fewer; more are looked up one by one.
 PACKET = 8
-#: Brings Y = 1 of the file to what Mitsuba's film develops to 1.
-WHITE = 1.0 / mi.MI_CIE_Y_NORMALIZATION
 
 
 class Corners(NamedTuple):
@@ -64,11 +62,12 @@ def nodes_of(V: Any, grid: Float64, wavelengths: Any) -> Nodes:
 
 
 def table_of(V: Any, emission: Any, used: Any) -> Any:
-    """Return the emissions [clusters, wavelengths] as they are looked up, in Mitsuba's unit."""
+    """Return the emissions [clusters, wavelengths] as they are looked up, in a unit whose Y = 1 Mitsuba's film develops to 1."""
+    white = 1.0 / mi.MI_CIE_Y_NORMALIZATION
     if not dr.is_jit_v(V.Float):
-        return emission.array
+        return emission.array * white
     index = loading.packed(used, emission.shape[1], max(PACKET, len(used)))
-    table = dr.gather(V.Float, emission.array, V.UInt32(index)) * WHITE
+    table = dr.gather(V.Float, emission.array, V.UInt32(index)) * white
     dr.eval(table)
     return table
 
@@ -93,7 +92,7 @@ def emission_of_slot(V: Any, table: Any, used: Any, grid: Float64, slot: Any, at
             here, there = pair.x, pair.y
         else:
             place = int(used[slot]) * len(grid) + int(at.below[k])
-            here, there = (table[place + side] * WHITE for side in (0, 1))
+            here, there = (table[place + side] for side in (0, 1))
         found.append(dr.fma(there - here, at.fraction[k], here))
     return V.UnpolarizedSpectrum(found) * at.inside
 
