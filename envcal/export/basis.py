@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from envcal import atomic, exr, provenance
-from envcal.export.opened import Opened, bands, open_uplift, undeclared
+from envcal.export.opened import Opened, bands, kelvin, open_uplift, undeclared
 from envcal.export.pbrt import spd
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
@@ -210,9 +210,7 @@ if __name__ == "__main__":
 
 def _readme(source: str, lights: list[dict[str, Any]]) -> str:
     rows = "\n".join(
-        f"| `{light['name']}` | {light['type']} | {'–' if light['cct'] is None else format(light['cct'], '.0f') + ' K'} "
-        f"| {light['source']} |"
-        for light in lights
+        f"| `{light['name']}` | {light['type']} | {kelvin(light['cct'])} | {light['source']} |" for light in lights
     )
     return f"""# {source} for Mitsuba 3 without a plugin
 
@@ -252,8 +250,8 @@ the light's own spectrum would have given. This holds for every path that keeps 
 
 ## What is exact, what is lost
 
-- At the texels: the spectra, to Mitsuba's single precision (it evaluates the polynomial in nanometres, where its terms cancel:
-  up to some 10⁻⁴ of the brightest spectrum).
+- At the texels: the spectra, to Mitsuba's single precision. It evaluates the polynomial in nanometres, where its terms cancel: mostly
+  some 10⁻⁶ of the reflectance, in single pixels of deep colour some 10⁻³.
 - Between texels Mitsuba interpolates the shape and the scale of a spectrum each by itself. Where a bright and a dark texel of different
   colour meet, as at the rim of the sun, what lies between has a wrong colour; the `envcal` emitter has not. The maps have twice the
   rows of the original to meet Mitsuba's rows, which run from pole to pole; a texel between two of ours has their mean colour.

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from envcal import atomic, exr, provenance
 from envcal.export.loss import loss
 from envcal.export.octahedral import resampled, side_of
-from envcal.export.opened import Opened, bands, conversion, open_uplift, undeclared
+from envcal.export.opened import LARGEST_HALF, Opened, bands, conversion, kelvin, open_uplift, undeclared
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
 from uplift.spectrum import rgb_space
@@ -44,8 +44,8 @@ def export_pbrt(source: Path, folder: Path, *, half: bool = False, progress: Pro
     for number, k in enumerate(used):
         image = resampled(latlong, cluster, k, side)
         if half:
-            overflow += int((image > 65504.0).any(axis=-1).sum())
-            image = np.minimum(image, 65504.0)
+            overflow += int((image > LARGEST_HALF).any(axis=-1).sum())
+            image = np.minimum(image, LARGEST_HALF)
         name, about = f"light{k}", opened.about.clusters[k]
         attributes = {
             **provenance.attributes("export", settings={"to": "pbrt", "light": k, "half": half}, inputs=[source]),
@@ -148,7 +148,7 @@ def _scene(lights: list[dict[str, Any]]) -> str:
 def _readme(figures: dict[str, Any], source: str) -> str:
     lost = figures["relight_delta_e"]
     rows = "\n".join(
-        f"| `{light['name']}.exr` | {light['type']} | {'–' if light['cct'] is None else format(light['cct'], '.0f') + ' K'} "
+        f"| `{light['name']}.exr` | {light['type']} | {kelvin(light['cct'])} "
         f"| {light['mean_luminance']:.4g} | {light['source']} |"
         for light in figures["lights"]
     )
@@ -163,7 +163,8 @@ left out by its `scale`. Their sum is the whole map.
 |---|---|---|---|---|
 {rows}
 
-A map value of 1 is a radiance of 1, white, in the rendered image at pbrt's default exposure (`iso` 100, 1 s).
+A map value of 1 is a radiance of 1, white, in the rendered image at pbrt's default exposure (`iso` 100, 1 s): so its sources say, pbrt
+has not been run. In pbrt's frame the middle of the map stands at −x and up is +z; `environment.pbrt` has the transform for scenes of +y.
 
 ## What is kept
 

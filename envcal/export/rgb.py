@@ -7,15 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from envcal import atomic, exr, provenance
-from envcal.export.opened import bands, conversion, open_uplift
+from envcal.export.opened import LARGEST_HALF, bands, conversion, open_uplift
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
 from uplift.spectrum import rgb_space
 
-#: The space whose triangle encloses the spectral locus.
+#: The space whose triangle encloses the spectral locus; adapted from D65, a laser leaves it by half a per cent at most.
 WIDEST = "ACES2065-1"
-#: The largest finite half float.
-LARGEST_HALF = 65504.0
 
 
 def file_name(space: str) -> str:
@@ -79,7 +77,9 @@ def export_rgb(
             f"65504) and were set to 65504: {figures['light_lost']:.2%} of the light is lost. Leave out --half."
         )
     if outside:
-        wider = "" if space == WIDEST else f"; {WIDEST} holds all colours that light can have (`--space {WIDEST}`)"
+        wider = (
+            "" if space == WIDEST else f"; {WIDEST} holds all but the very purest colours of light (`--space {WIDEST}`)"
+        )
         warnings.append(
             f"{outside} of {height * width} pixels have colours outside of {space}: a component is negative. Renderers "
             f"clip it, which changes the colour{wider}."
