@@ -28,7 +28,7 @@ _LANES = 1 << 22
 _FIREFLY = 4.0
 _LEAST_PASSES = 8
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-#: What the scalar variant, some hundred times slower, is asked for unless the size is given.
+#: What the scalar variant, some two hundred times slower, is asked for unless the size is given.
 SCALAR_SIZE, SCALAR_SPP = (192, 108), 8
 
 
