@@ -75,7 +75,9 @@ def test_emissions_are_linear_between_the_nodes_and_zero_outside_for_few_lights_
             [np.interp(w, GRID, emissions[used[slot]], 0, 0) for w, slot in zip(row, corner_slots[corner], strict=True)]
             for row in wavelengths
         ]
-        np.testing.assert_allclose(np.array(of_corner(corner)) * mi.MI_CIE_Y_NORMALIZATION, expected, atol=2e-5)  # a step is 5 nm
+        np.testing.assert_allclose(
+            np.array(of_corner(corner)) * mi.MI_CIE_Y_NORMALIZATION, expected, atol=2e-5
+        )  # a step is 5 nm
 
 
 def test_the_reflectance_of_deep_colours_keeps_its_digits(V):
