@@ -30,6 +30,7 @@ import numpy.typing as npt
 
 from uplift import UpliftError
 from uplift.difference import delta_e_2000
+from uplift.lanes import terms_of
 from uplift.lookup import ALL, BLOCK, FLOAT, PENDING, PREVIEW, look_up
 from uplift.polynomial import TRIES
 from uplift.radiance import rgb_of, spectra_of
@@ -114,7 +115,6 @@ def fallback_tables(
 
 
 Precision = Literal["exact", "float", "preview"]
-_LANES = 4
 _PRECISIONS: dict[str, int] = {"exact": ALL, "float": FLOAT, "preview": PREVIEW}
 
 
@@ -161,8 +161,6 @@ def uplift_pixels(
     scale = np.empty(size)
     emission = np.empty(size, np.uint32)
     status = np.empty(size, np.uint8)
-    # Wavelengths without weight fill up the last SIMD lanes of a sum.
-    blank = -first.t.size % _LANES
     # One row of counts a block, so that no two threads add to the same number.
     counts = np.zeros((-(-size // BLOCK), PENDING + 1), np.int64)
     look_up(
@@ -170,8 +168,8 @@ def uplift_pixels(
         labels,
         _PRECISIONS[precision],
         np.concatenate([table.axes.reshape(-1) for table in tables]),
-        np.stack([np.pad(table.weights, ((0, 0), (0, blank))) for table in tables]),
-        np.pad(first.t, (0, blank)),
+        np.concatenate([terms_of(table.weights, table.t) for table in tables]),
+        first.t.size,
         first.solved.shape[1],
         np.concatenate([table.surface.reshape(-1) for table in tables]),
         np.concatenate([table.coarse.reshape(-1) for table in tables]),
