@@ -16,7 +16,7 @@ from uplift.reach import EXACT
 from uplift.surface import CUBIC, LINEAR, cubic, linear
 
 PREVIEW, FLOAT, ALL = 0, 1, 2  # precisions
-PENDING = 5  # a status for what is left
+PENDING, STRAY = 5, 6  # a status for what is left, and a count of pixels whose light is none of those given
 BLOCK = 4096  # pixels that one thread takes at a time
 RUN = 512  # most pixels of one light whose places are kept at a time: they fit into the first-level cache
 _PLACE = 5  # numbers that place a pixel
@@ -31,6 +31,7 @@ def look_up(  # type: ignore[no-untyped-def]
     rgb,
     cluster,
     precision,
+    lights,
     axes,
     terms,
     wavelengths,
@@ -62,6 +63,11 @@ def look_up(  # type: ignore[no-untyped-def]
             label, length = cluster[start], 1
             while length < min(RUN, stop - start) and cluster[start + length] == label:
                 length += 1
+            if label >= lights:
+                counts[block, STRAY] += length
+                counts[block, PENDING] -= length
+                start += length
+                continue
             k, first = np.uintp(label), np.uintp(start)
             _place(rgb, first, length, axes, k, n, places)
             many, exact = length, 0
