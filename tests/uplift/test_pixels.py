@@ -161,6 +161,22 @@ def test_permuting_or_tiling_the_pixels_does_the_same_to_the_result():
         np.testing.assert_array_equal(getattr(tile, name), getattr(whole, name)[7:9])
 
 
+@pytest.mark.parametrize("precision", ["exact", "preview"])
+def test_lights_pixel_by_pixel_give_the_bits_of_lights_in_large_areas(precision):
+    rng = np.random.default_rng(14)
+    rgb = rng.normal(0.4, 0.3, (1, 6000, 3)).astype(np.float32)  # more than one thread takes at a time
+    cluster = rng.integers(0, 3, (1, 6000), dtype=np.uint32)
+    tables = [build_table(light(name), observer=EYES, space=SPACE) for name in ("A", "FL11", "D65")]
+    scattered = uplift_pixels(rgb, cluster, tables, precision=precision)
+    order = np.argsort(cluster[0], kind="stable")
+    areas = uplift_pixels(rgb[:, order], cluster[:, order], tables, precision=precision)
+    for name in ("coefficients", "scale", "emission", "status"):
+        np.testing.assert_array_equal(getattr(scattered, name)[:, order], getattr(areas, name))
+    cluster[0, 4321] = 3
+    with pytest.raises(UpliftError, match="run from 0 to 3, but there are 3 tables"):
+        uplift_pixels(rgb, cluster, tables, precision=precision)
+
+
 def test_the_number_of_threads_changes_no_bit():
     rgb = np.random.default_rng(11).normal(0.5, 0.5, (40, 40, 3))
     threads = numba.get_num_threads()
