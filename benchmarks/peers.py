@@ -35,10 +35,16 @@ class PlainLoop:
         self._nodes = np.stack([_plain_table(w, self._t, nodes) for w in self._weights])
 
     def __call__(
-        self, rgb: npt.NDArray[np.float32], cluster: npt.NDArray[np.uint32], *, steps: int = 2
+        self,
+        rgb: npt.NDArray[np.float32],
+        cluster: npt.NDArray[np.uint32],
+        *,
+        steps: int = 2,
+        out: tuple[Float64, Float64] | None = None,
     ) -> tuple[Float64, Float64]:
-        """Return coefficients [H, W, 3] for t in −1 … 1 and scale [H, W]."""
-        coefficients, scale = np.empty(rgb.shape), np.empty(rgb.shape[:2])
+        """Return coefficients [H, W, 3] for t in −1 … 1 and scale [H, W]: the first rows of `out`, or new ones."""
+        coefficients, scale = out or (np.empty(rgb.shape), np.empty(rgb.shape[:2]))
+        coefficients, scale = coefficients[: len(rgb)], scale[: len(rgb)]
         _plain(rgb, cluster, self._white, self._weights, self._t, self._nodes, steps, coefficients, scale)
         return coefficients, scale
 

@@ -27,7 +27,7 @@ from benchmarks.peers import PlainLoop, colour_look_up, renderer_load
 from uplift.difference import delta_e_2000
 from uplift.illuminants import family_emission
 from uplift.lattice import build_cube, build_lattice, rgb_of_lattice, spectra_of_lattice, uplift_lattice
-from uplift.pixels import Status, rgb_of, spectra_of, uplift_pixels
+from uplift.pixels import Buffers, Status, rgb_of, spectra_of, uplift_pixels
 from uplift.scaled import uplift_scaled
 from uplift.spectrum import illuminant, observer, rgb_space
 from uplift.table import build_table
@@ -135,6 +135,10 @@ def speed(width: int, height: int, *, crop: int, repeat: int) -> dict[str, Any]:
     print(
         f"{width}×{height}, {len(LIGHTS)} lights ({', '.join(LIGHTS)}), {space.name}, {numba.get_num_threads()} cores"
     )
+    print(
+        "the plain loop and the three precisions write into memory that is there, as who streams a map lets them; "
+        "B/pixel is what they take besides"
+    )
 
     # Every n-th row: as many pixels as the slow ones can take, of all lights.
     every = max(1, -(-width * height // crop))
@@ -146,7 +150,8 @@ def speed(width: int, height: int, *, crop: int, repeat: int) -> dict[str, Any]:
     for steps, name in ((2, "plain loop"), (0, "plain loop, look-up alone")):
         c, s = plain(few, few_cluster, steps=steps)
         error = _errors(few, plain.colours(c, s, few_cluster), space)
-        whole = partial(_rows, partial(plain, steps=steps), rgb, cluster)
+        memory: Any = (np.empty(rgb.shape), np.empty(cluster.shape))
+        whole = partial(_rows, partial(plain, steps=steps, out=memory), rgb, cluster)
         rows.append(_both(name, whole, (height, width), repeat, **error))
     tables = [build_table(light, observer=eyes, space=space) for light in emissions]
     for settings in precisions():
@@ -154,7 +159,8 @@ def speed(width: int, height: int, *, crop: int, repeat: int) -> dict[str, Any]:
         found = solve(few, few_cluster)
         shown = rgb_of(found.coefficients, found.scale, found.emission, found.emissions, observer=eyes, space=space)
         error = _errors(few, shown, space, found.status)
-        whole = partial(_rows, solve, rgb, cluster)
+        memory = Buffers.of(cluster.size)
+        whole = partial(_rows, partial(solve, out=memory), rgb, cluster)
         shares = _shares(found.counts)
         rows.append(_both(settings.get("precision", "exact"), whole, (height, width), repeat, remark=shares, **error))
     rows += _slow_peers(few, few_cluster, emissions, repeat, on_crop)

@@ -10,16 +10,20 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from uplift.newton import newton
+from uplift.lanes import C0, C1, C2, ERROR, G0, G1, G2, LANES, TERMS, newton_lanes
 from uplift.polynomial import TRIES, about, in_nm, stored
 from uplift.reach import EXACT
 from uplift.surface import CUBIC, LINEAR, cubic, linear
 
 PREVIEW, FLOAT, ALL = 0, 1, 2  # precisions
-PENDING = 5  # a status for what is left
+PENDING, STRAY = 5, 6  # a status for what is left, and a count of pixels whose light is none of those given
 BLOCK = 4096  # pixels that one thread takes at a time
 RUN = 512  # most pixels of one light whose places are kept at a time: they fit into the first-level cache
+_SHORT = 64  # pixels that one light lights on end, on average, below which they are sorted by light
 _PLACE = 5  # numbers that place a pixel
+# Rows of the state of pixels being solved, after those of `newton_lanes`.
+_CURVATURE, _AIM, _SCALE, _AT, _STATE = 7, 8, 9, 10, 11
+_STEPS = 6  # most steps of Newton's method; all but a few pixels in a thousand take one or two
 _CANCELLING = 64.0  # of c2 for λ in nm: from there on the three coefficients are rounded together
 
 
@@ -28,9 +32,10 @@ def look_up(  # type: ignore[no-untyped-def]
     rgb,
     cluster,
     precision,
+    lights,
     axes,
-    weights,
-    t,
+    terms,
+    wavelengths,
     n,
     surfaces,
     coarse,
@@ -46,35 +51,95 @@ def look_up(  # type: ignore[no-untyped-def]
 ):
     """Write the spectra of all pixels of `rgb` that a cell answers, and status PENDING for the others.
 
-    `axes`, `surfaces`, `coarse`, `grades`, `curvatures` and the pixels' arrays are flat; `weights` is [K, 3, N].
+    `axes`, `surfaces`, `coarse`, `grades`, `curvatures` and the pixels' arrays are flat, and so are `terms`, those of
+    each light for so many `wavelengths`.
     """
     size = scale.size
     for block in prange(counts.shape[0]):
-        places, left = np.empty(_PLACE * RUN), np.empty(RUN, np.uint32)
         start, stop = block * BLOCK, min(size, (block + 1) * BLOCK)
-        counts[block, PENDING] = stop - start
-        while start < stop:
-            # Neighbours mostly have the same light: what belongs to it is fetched once for all of them.
-            label, length = cluster[start], 1
-            while length < min(RUN, stop - start) and cluster[start + length] == label:
-                length += 1
-            k, first = np.uintp(label), np.uintp(start)
-            _place(rgb, first, length, axes, k, n, places)
-            many, exact = length, 0
-            if precision != ALL:
-                many = _answer(
-                    precision, k, n, surfaces, coarse, grades, a_and_b, first, length, places, left,
-                    coefficients, scale, emission, status,
-                )  # fmt: skip
-                exact = length - many
-            if many:
-                exact += _solve(
-                    rgb, precision, axes, weights[k], t, k, n, surfaces, grades, curvatures, luminance_weights, a_and_b,
-                    first, many, places, left, coefficients, scale, emission, status,
-                )  # fmt: skip
-            counts[block, EXACT] += exact
-            counts[block, PENDING] -= exact
+        changes = np.int64(0)
+        for at in range(np.uintp(start), np.uintp(stop - 1)):
+            changes += np.int64(cluster[at] != cluster[at + np.uintp(1)])
+        if changes * _SHORT <= stop - start:
+            exact, stray = _block(
+                rgb, cluster, start, stop, precision, lights, axes, terms, wavelengths, n, surfaces, coarse, grades,
+                curvatures, luminance_weights, a_and_b, coefficients, scale, emission, status,
+            )  # fmt: skip
+        else:
+            # Sorted by light, or most lanes would be empty.
+            length = stop - start
+            order = _sorted(cluster, start, stop, lights)
+            colours, labels = np.empty(3 * length, rgb.dtype), np.empty(length, cluster.dtype)
+            for at in range(length):
+                labels[at] = cluster[order[at]]
+                for channel in range(3):
+                    colours[3 * at + channel] = rgb[3 * order[at] + channel]
+            c, s, e = np.empty(3 * length), np.empty(length), np.empty(length, emission.dtype)
+            kinds = np.empty(length, status.dtype)
+            exact, stray = _block(
+                colours, labels, 0, length, precision, lights, axes, terms, wavelengths, n, surfaces, coarse, grades,
+                curvatures, luminance_weights, a_and_b, c, s, e, kinds,
+            )  # fmt: skip
+            for at in range(length):
+                index = order[at]
+                for k in range(3):
+                    coefficients[3 * index + k] = c[3 * at + k]
+                scale[index], emission[index], status[index] = s[at], e[at], kinds[at]
+        counts[block, EXACT], counts[block, STRAY] = exact, stray
+        counts[block, PENDING] = stop - start - exact - stray
+
+
+@njit(cache=True, error_model="numpy")
+def _sorted(cluster, start, stop, lights):  # type: ignore[no-untyped-def]
+    """Return the indices of the pixels from `start` to `stop`, those of one light after those of another."""
+    following = np.zeros(lights + 2, np.int64)
+    for at in range(start, stop):
+        following[min(np.int64(cluster[at]), lights) + 1] += 1
+    for k in range(1, lights + 2):
+        following[k] += following[k - 1]
+    order = np.empty(stop - start, np.int64)
+    for at in range(start, stop):
+        k = min(np.int64(cluster[at]), lights)
+        order[following[k]] = at
+        following[k] += 1
+    return order
+
+
+@njit(cache=True, error_model="numpy")
+def _block(  # type: ignore[no-untyped-def]
+    rgb, cluster, start, stop, precision, lights, axes, terms, wavelengths, n, surfaces, coarse, grades,
+    curvatures, luminance_weights, a_and_b, coefficients, scale, emission, status,
+):  # fmt: skip
+    """Write the spectra of the pixels from `start` to `stop`; return how many a cell answered, and how many have a light
+    that is none of those given.
+    """
+    places, left, state = np.empty(_PLACE * RUN), np.empty(RUN, np.uint32), np.zeros(_STATE * RUN)
+    exact = stray = 0
+    while start < stop:
+        # Neighbours mostly have the same light: what belongs to it is fetched once for all of them.
+        label, length = cluster[start], 1
+        while length < min(RUN, stop - start) and cluster[start + length] == label:
+            length += 1
+        if label >= lights:
+            stray += length
             start += length
+            continue
+        k, first = np.uintp(label), np.uintp(start)
+        _place(rgb, first, length, axes, k, n, places)
+        many = length
+        if precision != ALL:
+            many = _answer(
+                precision, k, n, surfaces, coarse, grades, a_and_b, first, length, places, left,
+                coefficients, scale, emission, status,
+            )  # fmt: skip
+            exact += length - many
+        if many:
+            exact += _solve(
+                rgb, precision, axes, terms, wavelengths, k, n, surfaces, grades, curvatures, luminance_weights,
+                a_and_b, first, many, places, left, state, coefficients, scale, emission, status,
+            )  # fmt: skip
+        start += length
+    return exact, stray
 
 
 @njit(cache=True, error_model="numpy")
@@ -154,49 +219,97 @@ def _answer(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _solve(  # type: ignore[no-untyped-def]
-    rgb, precision, axes, weights, t, k, n, surfaces, grades, curvatures, luminance_weights, a_and_b,
-    first, many, places, left, coefficients, scale, emission, status,
+    rgb, precision, axes, terms, wavelengths, k, n, surfaces, grades, curvatures, luminance_weights, a_and_b,
+    first, many, places, left, state, coefficients, scale, emission, status,
 ):  # fmt: skip
     """Solve those pixels of a run that are in `left`, all of them at full precision, by whole Newton steps until the next
     residual is small enough; return how many were solved.
+
+    `state` [_STATE · RUN] holds those that are on their way, side by side without gaps.
     """
+    begun = _begin(
+        rgb, precision, axes, k, n, surfaces, grades, curvatures, luminance_weights, first, many, places, left, state, status
+    )  # fmt: skip
+    start = k * np.uintp((wavelengths + 1) * TERMS)
+    going = begun
+    for _ in range(_STEPS):
+        for slot in range(0, going, LANES):
+            newton_lanes(terms, start, np.uintp(wavelengths), state, np.uintp(RUN), np.uintp(slot))
+        going = _finish(precision, k, a_and_b, first, going, state, coefficients, scale, emission, status)
+        if not going:
+            break
+    for slot in range(np.uintp(going)):
+        status[first + np.uintp(np.int64(state[slot + np.uintp(_AT * RUN)]))] = PENDING
+    return begun - going
+
+
+@njit(cache=True, error_model="numpy")
+def _begin(  # type: ignore[no-untyped-def]
+    rgb, precision, axes, k, n, surfaces, grades, curvatures, luminance_weights, first, many, places, left, state, status
+):  # fmt: skip
+    """Write the state of the pixels that a cell gives a start; return their number."""
     cells, nodes = k * np.uintp(3 * (n - 1) * (n - 1)), k * np.uintp(3 * n * n)
     row, one, two = k * np.uintp(9), np.uintp(1), np.uintp(2)
-    solved = 0
+    begun = 0
     for place in range(np.uintp(many)):
         at = place if precision == ALL else np.uintp(left[place])
         index = first + at
-        to = index * np.uintp(3)
-        largest, cell = places[at], np.int64(places[at + np.uintp(3 * RUN)])
-        c0 = c1 = c2 = dimness = 0.0
-        kind = PENDING
-        if cell >= 0 and grades[cells + np.uintp(cell)]:
-            node = nodes + np.uintp(np.int64(places[at + np.uintp(4 * RUN)]))
-            c0, c1, c2, dimness = cubic(surfaces, node, n, places[at + np.uintp(RUN)], places[at + np.uintp(2 * RUN)])
-            red, green, blue = np.float64(rgb[to]), np.float64(rgb[to + one]), np.float64(rgb[to + two])
-            level = 1.0 / (largest * dimness)
-            r, g, b = level * red, level * green, level * blue
-            g0 = axes[row] * r + axes[row + one] * g + axes[row + two] * b
-            g1 = axes[row + np.uintp(3)] * r + axes[row + np.uintp(4)] * g + axes[row + np.uintp(5)] * b
-            g2 = axes[row + np.uintp(6)] * r + axes[row + np.uintp(7)] * g + axes[row + np.uintp(8)] * b
-            y = luminance_weights[0] * red + luminance_weights[1] * green + luminance_weights[2] * blue
-            aim = (1e-14 if precision == ALL else 1e-8) * min(1.0, y / largest)
-            curvature = curvatures[cells + np.uintp(cell)]
-            for _ in range(6):
-                c0, c1, c2, error = newton(weights, t, g0, g1, g2, c0, c1, c2)
-                # The next residual is at most this, so no need to look.
-                if curvature * error * error <= aim:
-                    kind = EXACT
-                    break
+        cell = np.int64(places[at + np.uintp(3 * RUN)])
+        if cell < 0 or not grades[cells + np.uintp(cell)]:
+            status[index] = PENDING
+            continue
+        source, largest = index * np.uintp(3), places[at]
+        node = nodes + np.uintp(np.int64(places[at + np.uintp(4 * RUN)]))
+        c0, c1, c2, dimness = cubic(surfaces, node, n, places[at + np.uintp(RUN)], places[at + np.uintp(2 * RUN)])
+        red, green, blue = np.float64(rgb[source]), np.float64(rgb[source + one]), np.float64(rgb[source + two])
+        level = 1.0 / (largest * dimness)
+        r, g, b = level * red, level * green, level * blue
+        y = luminance_weights[0] * red + luminance_weights[1] * green + luminance_weights[2] * blue
+        g0 = axes[row] * r + axes[row + one] * g + axes[row + two] * b
+        g1 = axes[row + np.uintp(3)] * r + axes[row + np.uintp(4)] * g + axes[row + np.uintp(5)] * b
+        g2 = axes[row + np.uintp(6)] * r + axes[row + np.uintp(7)] * g + axes[row + np.uintp(8)] * b
+        to = np.uintp(begun)
+        state[to + np.uintp(C0 * RUN)] = c0
+        state[to + np.uintp(C1 * RUN)] = c1
+        state[to + np.uintp(C2 * RUN)] = c2
+        state[to + np.uintp(G0 * RUN)] = g0
+        state[to + np.uintp(G1 * RUN)] = g1
+        state[to + np.uintp(G2 * RUN)] = g2
+        state[to + np.uintp(_CURVATURE * RUN)] = curvatures[cells + np.uintp(cell)]
+        state[to + np.uintp(_AIM * RUN)] = (1e-14 if precision == ALL else 1e-8) * min(1.0, y / largest)
+        state[to + np.uintp(_SCALE * RUN)] = largest * dimness
+        state[to + np.uintp(_AT * RUN)] = at
+        begun += 1
+    return begun
+
+
+@njit(cache=True, error_model="numpy")
+def _finish(precision, k, a_and_b, first, begun, state, coefficients, scale, emission, status):  # type: ignore[no-untyped-def]
+    """Write those of the first `begun` pixels in `state` that are solved; move up the others and return their number."""
+    kept = 0
+    for slot in range(np.uintp(begun)):
+        error, curvature = state[slot + np.uintp(ERROR * RUN)], state[slot + np.uintp(_CURVATURE * RUN)]
+        # The next residual is at most this, so no need to look. NaN fails this.
+        if curvature * error * error <= state[slot + np.uintp(_AIM * RUN)]:
+            c0, c1, c2 = (
+                state[slot + np.uintp(C0 * RUN)],
+                state[slot + np.uintp(C1 * RUN)],
+                state[slot + np.uintp(C2 * RUN)],
+            )
             c0, c1, c2 = _in_nm(c0, c1, c2, a_and_b[0], a_and_b[1], precision == ALL)
-        coefficients[to] = c0
-        coefficients[to + one] = c1
-        coefficients[to + two] = c2
-        scale[index] = largest * dimness
-        emission[index] = k
-        status[index] = kind
-        solved += kind == EXACT
-    return solved
+            index = first + np.uintp(np.int64(state[slot + np.uintp(_AT * RUN)]))
+            to = index * np.uintp(3)
+            coefficients[to] = c0
+            coefficients[to + np.uintp(1)] = c1
+            coefficients[to + np.uintp(2)] = c2
+            scale[index] = state[slot + np.uintp(_SCALE * RUN)]
+            emission[index] = k
+            status[index] = EXACT
+        else:
+            for row in range(np.uintp(_STATE)):
+                state[row * np.uintp(RUN) + np.uintp(kept)] = state[row * np.uintp(RUN) + slot]
+            kept += 1
+    return kept
 
 
 @njit(cache=True, error_model="numpy")

@@ -22,15 +22,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cache
-from typing import Literal
+from functools import cache, lru_cache
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from uplift import UpliftError
 from uplift.difference import delta_e_2000
-from uplift.lookup import ALL, BLOCK, FLOAT, PENDING, PREVIEW, look_up
+from uplift.lanes import terms_of
+from uplift.lookup import ALL, BLOCK, FLOAT, PENDING, PREVIEW, STRAY, look_up
 from uplift.polynomial import TRIES
 from uplift.radiance import rgb_of, spectra_of
 from uplift.reach import settle
@@ -40,6 +41,7 @@ from uplift.table import BRIGHTNESS, Table, build_table
 
 __all__ = [
     "FALLBACK_LIGHTS",
+    "Buffers",
     "Status",
     "Uplifted",
     "fallback_emissions",
@@ -82,6 +84,26 @@ class Uplifted:
     warnings: tuple[str, ...]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Buffers:
+    """Memory for the results of `uplift_pixels`, which callers who stream a map give again for each tile: new pages
+    from the system take a quarter of a preview's time.
+
+    For up to M pixels: `coefficients` [M, 3] float64, `scale` [M] float64, `emission` [M] uint32, `status` [M] uint8, all
+    contiguous.
+    """
+
+    coefficients: Float64
+    scale: Float64
+    emission: npt.NDArray[np.uint32]
+    status: npt.NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, pixels: int) -> Buffers:
+        """Return new memory for so many pixels."""
+        return cls(np.empty((pixels, 3)), np.empty(pixels), np.empty(pixels, np.uint32), np.empty(pixels, np.uint8))
+
+
 FALLBACK_LIGHTS = (
     "D65, for colours that their own light cannot show",
     "D65 without its middle, for colours next to the line of purples",
@@ -114,7 +136,6 @@ def fallback_tables(
 
 
 Precision = Literal["exact", "float", "preview"]
-_LANES = 4
 _PRECISIONS: dict[str, int] = {"exact": ALL, "float": FLOAT, "preview": PREVIEW}
 
 
@@ -124,6 +145,7 @@ def uplift_pixels(
     tables: Sequence[Table],
     *,
     precision: Precision = "exact",
+    out: Buffers | None = None,
 ) -> Uplifted:
     """Return spectra whose RGB is `rgb`, each pixel under the light of its cluster.
 
@@ -139,11 +161,15 @@ def uplift_pixels(
         How near `rgb_of` comes to `rgb` for EXACT and FALLBACK pixels, as ΔE2000 with every pixel as its own white:
         "exact" as near as rounding lets it, "float" within 1e-4, "preview" within 0.05. The coarser ones take what
         the table says wherever its cells were found good enough when it was built, and Newton steps elsewhere.
+    out
+        Memory for at least H · W pixels, which is written to; the arrays of the result are then views of it, good until
+        it is given again. Without it they are new.
 
     Raises
     ------
     UpliftError
-        If shapes disagree, a cluster has no table, the tables differ in kind, or the precision is unknown.
+        If shapes disagree, a cluster has no table, the tables differ in kind, the precision is unknown, or `out` is too
+        small or of other types.
 
     Properties: `rgb_of` gives back `rgb` for EXACT and FALLBACK pixels, to the precision; k · rgb has k times the spectrum;
     the light's own RGB has its spectrum; 0 < R < 1.
@@ -157,28 +183,18 @@ def uplift_pixels(
     values = rgb if rgb.dtype in (np.float32, np.float64) else rgb.astype(np.float64)
     values = np.ascontiguousarray(values).reshape(size, 3)
     labels = np.ascontiguousarray(cluster, dtype=np.uint32).reshape(size)
-    coefficients = np.empty((size, 3))
-    scale = np.empty(size)
-    emission = np.empty(size, np.uint32)
-    status = np.empty(size, np.uint8)
-    # Wavelengths without weight fill up the last SIMD lanes of a sum.
-    blank = -first.t.size % _LANES
+    if out is None:
+        out = Buffers.of(size)
+    _check_buffers(out, size)
+    coefficients, scale, emission, status = (part[:size] for part in _parts(out))
     # One row of counts a block, so that no two threads add to the same number.
-    counts = np.zeros((-(-size // BLOCK), PENDING + 1), np.int64)
+    counts = np.zeros((-(-size // BLOCK), STRAY + 1), np.int64)
     look_up(
         values.reshape(-1),
         labels,
         _PRECISIONS[precision],
-        np.concatenate([table.axes.reshape(-1) for table in tables]),
-        np.stack([np.pad(table.weights, ((0, 0), (0, blank))) for table in tables]),
-        np.pad(first.t, (0, blank)),
-        first.solved.shape[1],
-        np.concatenate([table.surface.reshape(-1) for table in tables]),
-        np.concatenate([table.coarse.reshape(-1) for table in tables]),
-        np.concatenate([table.grades.reshape(-1) for table in tables]),
-        np.concatenate([table.curvature.reshape(-1) for table in tables]),
-        first.space.luminance_weights,
-        np.array(normalisation(first.observer)),
+        len(tables),
+        *_packed(tuple(tables)),
         coefficients.reshape(-1),
         scale,
         emission,
@@ -186,11 +202,13 @@ def uplift_pixels(
         counts,
     )
     counts = counts.sum(axis=0)
+    if counts[STRAY]:
+        _check_labels(cluster, tables)
     if counts[PENDING]:
         every = (*tables, *fallback_tables(first.observer, first.space, first.solved.shape[1], first.factor))
         where = np.flatnonzero(status == PENDING)
         _settle_all(where, values, labels, every, precision, coefficients, scale, emission, status)
-        counts = counts + np.bincount(status[where], minlength=PENDING + 1)
+        counts = counts + np.bincount(status[where], minlength=STRAY + 1)
     found = {kind: int(counts[kind]) for kind in Status}
     emissions = np.concatenate([[table.emission for table in tables], fallback_emissions(first.observer)])
     shape = cluster.shape
@@ -204,6 +222,30 @@ def uplift_pixels(
         observer=first.observer,
         space=first.space,
         counts=found,
+    )
+
+
+def _parts(out: Buffers) -> tuple[npt.NDArray[Any], ...]:
+    return out.coefficients, out.scale, out.emission, out.status
+
+
+@lru_cache(maxsize=2)
+def _packed(tables: tuple[Table, ...]) -> tuple[Any, ...]:
+    """Return what `look_up` reads of the tables, one light after the other: kept, since copying it takes as long as the
+    preview of a hundred thousand pixels.
+    """
+    first = tables[0]
+    return (
+        np.concatenate([table.axes.reshape(-1) for table in tables]),
+        np.concatenate([terms_of(table.weights, table.t) for table in tables]),
+        first.t.size,
+        first.solved.shape[1],
+        np.concatenate([table.surface.reshape(-1) for table in tables]),
+        np.concatenate([table.coarse.reshape(-1) for table in tables]),
+        np.concatenate([table.grades.reshape(-1) for table in tables]),
+        np.concatenate([table.curvature.reshape(-1) for table in tables]),
+        first.space.luminance_weights,
+        np.array(normalisation(first.observer)),
     )
 
 
@@ -287,16 +329,32 @@ def _check(rgb: npt.NDArray[np.floating], cluster: npt.NDArray[np.integer], tabl
         )
     if not tables:
         raise UpliftError("uplift_pixels: no tables; build one for each cluster with build_table")
-    if cluster.size and not 0 <= int(cluster.min()) <= int(cluster.max()) < len(tables):
-        raise UpliftError(
-            f"uplift_pixels: clusters run from {cluster.min()} to {cluster.max()}, but there are {len(tables)} tables "
-            f"(0 to {len(tables) - 1}); give one for each cluster"
-        )
+    # Those of 32 unsigned bits are checked on the way, by all threads.
+    if cluster.dtype != np.uint32:
+        _check_labels(cluster, tables)
     kinds = {(id(table.observer), id(table.space), table.solved.shape[1], table.factor) for table in tables}
     if len(kinds) > 1:
         raise UpliftError(
             "uplift_pixels: the tables differ in observer, space, number of nodes or factor; build all of them with the "
             "same arguments"
+        )
+
+
+def _check_buffers(out: Buffers, size: int) -> None:
+    for name, part, like in zip(Buffers.__slots__, _parts(out), _parts(Buffers.of(0)), strict=True):
+        fits = part.dtype == like.dtype and part.shape[1:] == like.shape[1:] and part.flags.c_contiguous
+        if not fits or len(part) < size or not part.flags.writeable:
+            raise UpliftError(
+                f"uplift_pixels: out.{name} has shape {part.shape} of {part.dtype}; expected writeable, contiguous "
+                f"{like.dtype} for at least {size} pixels, as Buffers.of({size}) makes them"
+            )
+
+
+def _check_labels(cluster: npt.NDArray[np.integer], tables: Sequence[Table]) -> None:
+    if cluster.size and not 0 <= int(cluster.min()) <= int(cluster.max()) < len(tables):
+        raise UpliftError(
+            f"uplift_pixels: clusters run from {cluster.min()} to {cluster.max()}, but there are {len(tables)} tables "
+            f"(0 to {len(tables) - 1}); give one for each cluster"
         )
 
 

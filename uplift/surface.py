@@ -97,7 +97,7 @@ def _blend(_, values, starts, weights):  # type: ignore[no-untyped-def]
             weight = builder.shuffle_vector(
                 weight, ir.Constant(four, ir.Undefined), ir.Constant(ir.VectorType(lane, 4), [0] * 4)
             )
-            total = builder.fadd(total, builder.fmul(weight, node, ("contract",)), ("contract",))
+            total = builder.fadd(total, builder.fmul(weight, node, flags=("contract",)), flags=("contract",))
         lanes = [builder.extract_element(total, lane(k)) for k in range(4)]
         return context.make_tuple(builder, signature.return_type, lanes)
 

@@ -1,5 +1,6 @@
 """Truth: the colour of each spectrum by a slow sum, spectra that made the colours, and symmetries of the problem."""
 
+import dataclasses
 import os
 from pathlib import Path
 
@@ -10,7 +11,15 @@ import pytest
 from tests.uplift.lights_for_tests import NAMES, light
 from uplift import UpliftError
 from uplift.difference import delta_e_2000
-from uplift.pixels import Status, fallback_emissions, fallback_tables, rgb_of, spectra_of, uplift_pixels
+from uplift.pixels import (
+    Buffers,
+    Status,
+    fallback_emissions,
+    fallback_tables,
+    rgb_of,
+    spectra_of,
+    uplift_pixels,
+)
 from uplift.sigmoid import reflectance
 from uplift.spectrum import illuminant, observer, rgb_space, rgb_weights, xyz_of
 from uplift.table import build_table
@@ -150,6 +159,22 @@ def test_permuting_or_tiling_the_pixels_does_the_same_to_the_result():
     tile = uplift_pixels(rgb[7:9], cluster[7:9], tables)
     for name in ("coefficients", "scale", "emission", "status"):
         np.testing.assert_array_equal(getattr(tile, name), getattr(whole, name)[7:9])
+
+
+@pytest.mark.parametrize("precision", ["exact", "preview"])
+def test_lights_pixel_by_pixel_give_the_bits_of_lights_in_large_areas(precision):
+    rng = np.random.default_rng(14)
+    rgb = rng.normal(0.4, 0.3, (1, 6000, 3)).astype(np.float32)  # more than one thread takes at a time
+    cluster = rng.integers(0, 3, (1, 6000), dtype=np.uint32)
+    tables = [build_table(light(name), observer=EYES, space=SPACE) for name in ("A", "FL11", "D65")]
+    scattered = uplift_pixels(rgb, cluster, tables, precision=precision)
+    order = np.argsort(cluster[0], kind="stable")
+    areas = uplift_pixels(rgb[:, order], cluster[:, order], tables, precision=precision)
+    for name in ("coefficients", "scale", "emission", "status"):
+        np.testing.assert_array_equal(getattr(scattered, name)[:, order], getattr(areas, name))
+    cluster[0, 4321] = 3
+    with pytest.raises(UpliftError, match="run from 0 to 3, but there are 3 tables"):
+        uplift_pixels(rgb, cluster, tables, precision=precision)
 
 
 def test_the_number_of_threads_changes_no_bit():
@@ -299,10 +324,42 @@ def test_maps_clusters_and_tables_that_do_not_fit_are_refused():
         ((rgb, cluster, []), "no tables"),
         ((rgb, cluster + 1, [table]), "give one for each cluster"),
         ((rgb, cluster - 1, [table]), "give one for each cluster"),
+        ((rgb, np.array([[0, 0], [1, 0]], np.uint32), [table]), "run from 0 to 1"),
+        ((rgb, cluster + (1 << 32), [table]), "give one for each cluster"),
         ((rgb, cluster, [table, other]), "differ in observer"),
     ]:
         with pytest.raises(UpliftError, match=message):
             uplift_pixels(*arguments)
+
+
+@pytest.mark.parametrize("precision", ["exact", "float", "preview"])
+def test_memory_that_is_given_is_used_and_changes_no_bit(precision):
+    rgb = np.random.default_rng(24).normal(0.4, 0.4, (30, 40, 3))
+    cluster, tables = np.zeros((30, 40), np.uint32), [build_table(light("FL2"), observer=EYES, space=SPACE)]
+    alone = uplift_pixels(rgb, cluster, tables, precision=precision)
+    memory = Buffers.of(1500)
+    uplift_pixels(rgb[::-1], cluster, tables, precision=precision, out=memory)  # something else before
+    result = uplift_pixels(rgb, cluster, tables, precision=precision, out=memory)
+    for name in ("coefficients", "scale", "emission", "status"):
+        np.testing.assert_array_equal(getattr(result, name), getattr(alone, name))
+        assert np.shares_memory(getattr(result, name), getattr(memory, name))
+    assert result.counts == alone.counts and len(set(result.counts.values())) > 2
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"scale": np.empty(3)}, r"out.scale has shape \(3,\) of float64; expected .* at least 4 pixels"),
+        ({"status": np.empty(4, np.int8)}, "expected writeable, contiguous uint8"),
+        ({"coefficients": np.empty((4, 4))}, r"out.coefficients has shape \(4, 4\)"),
+        ({"emission": np.empty(8, np.uint32)[::2]}, "out.emission .* contiguous"),
+    ],
+)
+def test_memory_that_does_not_fit_is_refused(change, message):
+    table = build_table(D65, observer=EYES, space=SPACE, nodes=4)
+    memory = dataclasses.replace(Buffers.of(4), **change)
+    with pytest.raises(UpliftError, match=message):
+        uplift_pixels(np.ones((2, 2, 3)), np.zeros((2, 2), int), [table], out=memory)
 
 
 def test_spectra_that_do_not_fit_are_refused():

@@ -25,7 +25,7 @@ _BASELINE = "The method is there for comparison; `constrained` keeps their colou
 
 
 class Solution(Protocol):
-    """The spectra of a tile."""
+    """The spectra of a tile, good until the next tile is solved."""
 
     @property
     def status(self) -> npt.NDArray[np.uint8]:
@@ -170,7 +170,7 @@ def method_of(settings: UpliftSettings, lights: Lights, seen: Observer, space: R
 
 
 def _constrained(settings: UpliftSettings, lights: Lights, seen: Observer, space: RGBSpace) -> Method:
-    from uplift.pixels import FALLBACK_LIGHTS, fallback_emissions, uplift_pixels
+    from uplift.pixels import FALLBACK_LIGHTS, Buffers, fallback_emissions, uplift_pixels
     from uplift.table import build_table
 
     tables = [
@@ -181,10 +181,16 @@ def _constrained(settings: UpliftSettings, lights: Lights, seen: Observer, space
         _emission(emission, type="fallback", source=source)
         for emission, source in zip(fallback_emissions(seen), FALLBACK_LIGHTS, strict=True)
     ]
+    kept = [Buffers.of(0)]
+
+    def solve(rgb: Image, labels: Labels) -> Solution:
+        if len(kept[0].scale) < labels.size:
+            kept[0] = Buffers.of(labels.size)
+        found = uplift_pixels(rgb, labels, tables, precision=settings.precision, out=kept[0])
+        return _Coefficients.of(found, seen, space)
+
     return Method(
-        solve=lambda rgb, labels: _Coefficients.of(
-            uplift_pixels(rgb, labels, tables, precision=settings.precision), seen, space
-        ),
+        solve=solve,
         about=About(method="constrained", **_head(lights, seen, [*_of_lights(lights), *fallbacks])),
         fallback="have colours that their light cannot show; they keep their colour under another. If they are many, "
         "declare the light there (`cluster.lights`)",
