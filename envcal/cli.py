@@ -91,6 +91,16 @@ def _output(what: str) -> Callable[[Command], Command]:
     )
 
 
+def _set(example: str) -> Callable[[Command], Command]:
+    return click.option(
+        "--set",
+        "overrides",
+        multiple=True,
+        metavar="KEY=VALUE",
+        help=f"Any setting that a pipeline.yaml has for this stage, such as {example}. Paths start from here.",
+    )
+
+
 _json = click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON on stdout.")
 _profile = click.option("--profile", type=FILE, help="Apply this profile instead of calibrating on this shot.")
 _space = click.option(
@@ -98,7 +108,7 @@ _space = click.option(
     type=click.Choice(SPACES),
     help="Linear RGB space of the map, where its header does not say (default: sRGB).",
 )
-_indoor = click.option("--indoor", type=click.Choice(INDOOR), default="auto", help="What undeclared indoor lights are.")
+_indoor = click.option("--indoor", type=click.Choice(INDOOR), help="What undeclared indoor lights are (default: auto).")
 _library = click.option(
     "--library",
     type=click.Path(exists=True, file_okay=False, path_type=Path),
@@ -177,15 +187,19 @@ def schema() -> None:
 @main.command()
 @click.argument("frames", nargs=-1, required=True, type=FILE)
 @_output("merged radiance (.exr)")
+@_set("align=true")
 @_json
-def merge(frames: Sequence[Path], out: Path, as_json: bool) -> None:
+def merge(frames: Sequence[Path], out: Path, overrides: Sequence[str], as_json: bool) -> None:
     """Merge a bracket of RAW FRAMES to radiance in camera RGB."""
-    from envcal.config import MergeSettings
+    from envcal.config import MergeSettings, stage_settings
     from envcal.reporter import Reporter
     from envcal.steps.merge import merge as work
+    from envcal.steps.merge import refuse_unknown_names
 
+    settings = stage_settings(MergeSettings, "merge", overrides)
+    refuse_unknown_names(settings, {out.stem: tuple(frames)})
     with Reporter().progress("merge") as progress:
-        outcome = work(frames, out, MergeSettings(), progress=progress)
+        outcome = work(frames, out, settings, progress=progress)
     _finish(outcome, as_json=as_json, out=out)
 
 
@@ -199,22 +213,31 @@ def merge(frames: Sequence[Path], out: Path, as_json: bool) -> None:
     help="The chart's corners in pixels instead of a search: top left (dark skin), top right, bottom right, bottom left.",
 )
 @click.option("--space", type=click.Choice(SPACES), help=f"Working RGB space of a new profile (default: {SPACES[0]}).")
+@_set("fit=auto")
 @_json
-def correct(merged: Path, out: Path, profile: Path | None, chart: str | None, space: str | None, as_json: bool) -> None:
+def correct(
+    merged: Path,
+    out: Path,
+    profile: Path | None,
+    chart: str | None,
+    space: str | None,
+    overrides: Sequence[str],
+    as_json: bool,
+) -> None:
     """Find the colour chart in MERGED and correct the colours by it, or apply a profile.
 
     A profile found here is written beside the output, as OUT.profile.json.
     """
     from envcal import profile as profiles
-    from envcal.config import CorrectSettings
+    from envcal.config import CorrectSettings, stage_settings
     from envcal.steps.correct import calibrate_on_chart
     from envcal.steps.correct import correct as work
 
-    if profile is not None and (chart is not None or space is not None):
+    if profile is not None and (chart is not None or space is not None or overrides):
         raise click.UsageError(
-            "--chart and --space belong to a new calibration; a profile brings its own matrix and space."
+            "--chart, --space and --set belong to a new calibration; a profile brings its own matrix and space."
         )
-    settings = CorrectSettings() if chart is None else CorrectSettings(chart=_corners(chart))
+    settings = stage_settings(CorrectSettings, "correct", overrides, chart=None if chart is None else _corners(chart))
     if profile is None:
         found = calibrate_on_chart(merged, settings, space or SPACES[0])
         found.write(out.with_suffix(".profile.json"))
@@ -244,25 +267,37 @@ def _corners(text: str) -> Any:
     metavar="NAME|FILE",
     help="The camera's spectral sensitivities (CSV, or JSON as of rawtoaces), to measure the chart's light with.",
 )
+@_set("spectrum=module.csv")
 @_json
 def balance(
-    corrected: Path, out: Path, profile: Path | None, lamp: str | None, camera: str | None, as_json: bool
+    corrected: Path,
+    out: Path,
+    profile: Path | None,
+    lamp: str | None,
+    camera: str | None,
+    overrides: Sequence[str],
+    as_json: bool,
 ) -> None:
     """Find the D65 lamp in CORRECTED and balance the colours by it, or apply a profile.
 
     The profile completed here is written beside the output, as OUT.profile.json.
     """
     from envcal import profile as profiles
-    from envcal.config import BalanceSettings, LampRectangle
+    from envcal.config import BalanceSettings, stage_settings
     from envcal.steps.balance import balance as work
     from envcal.steps.balance import calibrate_on_lamp
 
-    if profile is not None and (lamp is not None or camera is not None):
+    if profile is not None and (lamp is not None or camera is not None or overrides):
         raise click.UsageError(
-            "--lamp and --camera belong to the search for the lamp; a profile brings its own gains and its chart's light."
+            "--lamp, --camera and --set belong to the search for the lamp; a profile brings its own gains and its "
+            "chart's light."
         )
-    settings = BalanceSettings(
-        lamp="auto" if lamp is None else LampRectangle(rectangle=_rectangle(lamp)), camera=camera
+    settings = stage_settings(
+        BalanceSettings,
+        "balance",
+        overrides,
+        lamp=None if lamp is None else {"rectangle": _rectangle(lamp)},
+        camera=camera,
     )
     if profile is None:
         found = calibrate_on_lamp(corrected, settings)
@@ -311,22 +346,26 @@ def _find_lights(
     lights_out: Path,
     *,
     profile_paths: Sequence[Path] = (),
-    indoor: str,
+    indoor: str | None,
     lights_path: Path | None,
     space: str | None,
     library: Path | None,
+    overrides: Sequence[str] = (),
 ) -> Outcome:
     from envcal import profile as profiles
-    from envcal.config import ClusterSettings, Pipeline
+    from envcal.config import ClusterSettings, Pipeline, stage_settings
     from envcal.maps import read_map
     from envcal.steps.cluster import cluster as work
 
+    settings = stage_settings(ClusterSettings, "cluster", overrides, indoor=indoor, library=library)
+    if settings.lights or settings.profiles:
+        raise click.UsageError("--set has no lights or profiles; give them with --lights and --profile.")
     defaults = Pipeline.model_fields
     return work(
         read_map(source, space=space),
         out,
         lights_out,
-        ClusterSettings.model_validate({"indoor": indoor, "library": library}),
+        settings,
         declared=_declared(lights_path, library),
         wavelengths=defaults["wavelengths"].default,
         observer_name=defaults["observer"].default,
@@ -348,15 +387,17 @@ def _find_lights(
     help="Profile of a chart shot in this place: its light's measured spectrum is used. May be given several times.",
 )
 @_space
+@_set("most=2")
 @_json
 def cluster(
     map_path: Path,
     out: Path,
-    indoor: str,
+    indoor: str | None,
     lights_path: Path | None,
     library: Path | None,
     profile_paths: Sequence[Path],
     space: str | None,
+    overrides: Sequence[str],
     as_json: bool,
 ) -> None:
     """Find sky, lights and their colour temperatures in MAP (.exr or .hdr, lat-long).
@@ -373,6 +414,7 @@ def cluster(
         lights_path=lights_path,
         space=space,
         library=library,
+        overrides=overrides,
     )
     _finish(outcome, as_json=as_json, out=out)
 
@@ -387,37 +429,38 @@ def cluster(
 @click.option(
     "--method",
     type=click.Choice(["constrained", "scaled", "lattice"]),
-    default="constrained",
-    show_default=True,
-    help="Under the light of each pixel; or for comparison the usual uplift under D65, or the paper's lattice.",
+    help="Under the light of each pixel (constrained, the default); or for comparison the usual uplift under D65, or "
+    "the paper's lattice.",
 )
 @_space
+@_set("precision=float")
 @_json
 def uplift(
     map_path: Path,
     out: Path,
     clusters: Path | None,
-    indoor: str,
+    indoor: str | None,
     lights_path: Path | None,
     library: Path | None,
-    method: str,
+    method: str | None,
     space: str | None,
+    overrides: Sequence[str],
     as_json: bool,
 ) -> None:
     """Give every pixel of MAP (.exr or .hdr, lat-long) a spectrum: three coefficients, a scale and its light.
 
     With the method lattice it is a mixture of eight spectra instead, from which `envcal spectra` makes bands.
     """
-    from envcal.config import UpliftSettings
+    from envcal.config import UpliftSettings, stage_settings
     from envcal.maps import read_map
     from envcal.reporter import Reporter
     from envcal.steps.uplift import uplift as work
 
-    if clusters is not None and (indoor != "auto" or lights_path is not None or library is not None):
+    if clusters is not None and (indoor is not None or lights_path is not None or library is not None):
         raise click.UsageError(
             "--indoor, --lights and --library belong to the search for lights; give them to `envcal cluster`."
         )
-    settings = UpliftSettings.model_validate({"method": method})
+    settings = stage_settings(UpliftSettings, "uplift", overrides, method=method)
     more: list[str] = []
     with tempfile.TemporaryDirectory() as folder, Reporter().progress("uplift") as progress:
         if clusters is None:
