@@ -101,6 +101,15 @@ def _set(example: str) -> Callable[[Command], Command]:
     )
 
 
+def _photometry(example: str) -> Callable[[Command], Command]:
+    return click.option(
+        "--photometry",
+        multiple=True,
+        metavar="KEY=VALUE",
+        help=f"Absolute units, as under `photometry` in a pipeline.yaml, such as {example} (default: relative).",
+    )
+
+
 _json = click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON on stdout.")
 _profile = click.option("--profile", type=FILE, help="Apply this profile instead of calibrating on this shot.")
 _space = click.option(
@@ -267,6 +276,7 @@ def _corners(text: str) -> Any:
     metavar="NAME|FILE",
     help="The camera's spectral sensitivities (CSV, or JSON as of rawtoaces), to measure the chart's light with.",
 )
+@_photometry("patch='{patch: white, luminance: 215}'")
 @_set("spectrum=module.csv")
 @_json
 def balance(
@@ -275,6 +285,7 @@ def balance(
     profile: Path | None,
     lamp: str | None,
     camera: str | None,
+    photometry: Sequence[str],
     overrides: Sequence[str],
     as_json: bool,
 ) -> None:
@@ -283,15 +294,18 @@ def balance(
     The profile completed here is written beside the output, as OUT.profile.json.
     """
     from envcal import profile as profiles
-    from envcal.config import BalanceSettings, stage_settings
+    from envcal.config import BalanceSettings, PhotometrySettings, stage_settings
     from envcal.steps.balance import balance as work
     from envcal.steps.balance import calibrate_on_lamp
 
-    if profile is not None and (lamp is not None or camera is not None or overrides):
+    if profile is not None and (lamp is not None or camera is not None or photometry or overrides):
         raise click.UsageError(
-            "--lamp, --camera and --set belong to the search for the lamp; a profile brings its own gains and its "
-            "chart's light."
+            "--lamp, --camera, --photometry and --set belong to the search for the lamp; a profile brings its own gains, its "
+            "chart's light and its unit."
         )
+    absolute = stage_settings(PhotometrySettings, "photometry", photometry)
+    if absolute.of_map is not None:
+        raise click.UsageError("an illuminance at the place of the map belongs to `envcal panorama`.")
     settings = stage_settings(
         BalanceSettings,
         "balance",
@@ -300,7 +314,7 @@ def balance(
         camera=camera,
     )
     if profile is None:
-        found = calibrate_on_lamp(corrected, settings)
+        found = calibrate_on_lamp(corrected, settings, absolute)
         found.write(out.with_suffix(".profile.json"))
     else:
         found = profiles.read(profile)
@@ -325,13 +339,17 @@ def _with_warnings(outcome: Outcome, more: Sequence[str]) -> Outcome:
 @main.command()
 @click.argument("shots", nargs=-1, required=True, type=FILE)
 @_output("lat-long map (.exr)")
+@_photometry("horizontal_illuminance=540")
 @_json
-def panorama(shots: Sequence[Path], out: Path, as_json: bool) -> None:
+def panorama(shots: Sequence[Path], out: Path, photometry: Sequence[str], as_json: bool) -> None:
     """Turn SHOTS into one lat-long map; for the time being a lat-long shot passes through."""
-    from envcal.config import PanoramaSettings
+    from envcal.config import PanoramaSettings, PhotometrySettings, stage_settings
     from envcal.steps.panorama import panorama as work
 
-    _finish(work(shots, out, PanoramaSettings()), as_json=as_json, out=out)
+    absolute = stage_settings(PhotometrySettings, "photometry", photometry)
+    if photometry and absolute.of_map is None:
+        raise click.UsageError("what is known of the exposure or the chart belongs to `envcal balance`.")
+    _finish(work(shots, out, PanoramaSettings(), absolute), as_json=as_json, out=out)
 
 
 def _declared(path: Path | None, library: Path | None) -> Sequence[DeclaredLight]:

@@ -35,7 +35,9 @@ def export_rgb(
     matrix = conversion(opened.space, target)
     out = folder / file_name(space)
     attributes = {
-        **provenance.attributes("export", settings={"to": "rgb", "space": space, "half": half}, inputs=[source]),
+        **provenance.attributes(
+            "export", settings={"to": "rgb", "space": space, "half": half}, inputs=[source], unit=opened.unit
+        ),
         **provenance.colour_space(space),
         "envmap": True,
     }
@@ -68,6 +70,7 @@ def export_rgb(
         "overflow": overflow,
         "light_lost": lost / total if total > 0 else 0.0,
         "outside": outside,
+        "unit": None if opened.unit is None else opened.unit.told(),
     }
     warnings = []
     if overflow:
@@ -85,11 +88,15 @@ def export_rgb(
     return Outcome(f"{width}×{height} in {space}, {kind}", figures, warnings)
 
 
+def _unit(told: object) -> str:
+    return "values are relative to a D65 white of 1." if told is None else f"(1, 1, 1) is 1 cd/m²: {told}."
+
+
 def _readme(figures: dict[str, object], source: str) -> str:
     return f"""# RGB map
 
 `{figures["file"]}`: lat-long, linear {figures["space"]} (the header's `chromaticities`), {"half" if figures["half"] else "float"}.
-Row 0 is up, the first column's left edge is u = 0; values are relative to a D65 white of 1.
+Row 0 is up, the first column's left edge is u = 0; {_unit(figures["unit"])}
 
 White stays white: between spaces of different white points ({source} has D65; ACES spaces have ACES white, about D60) the
 colours are adapted by Bradford's method.
