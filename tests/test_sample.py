@@ -149,6 +149,51 @@ def test_every_file_says_what_it_holds(output):
         assert (header.chromaticities is None) == (path.parent.name == "merge")
 
 
+@pytest.mark.parametrize(
+    ("way", "within"),
+    [
+        # The standard's own camera, but for what the chart's fit and the demosaicing leave.
+        ("exposure", 0.03),
+        ("patch", 0.03),
+        # A white of the published 0.9 in light that is not even.
+        ("chart", 0.04),
+        # The map's own errors, the dim and coloured parts included, are summed up in it.
+        ("map", 0.05),
+    ],
+)
+def test_every_way_to_absolute_units_gives_the_rooms_own_candelas(output, truth, tmp_path, way, within):
+    from envcal.config import BalanceSettings, PanoramaSettings, PhotometrySettings
+    from envcal.steps.balance import balance, calibrate_on_lamp
+    from envcal.steps.panorama import panorama
+    from uplift.spectrum import rgb_space
+
+    true = truth.xyz[..., 1]
+    height, width = true.shape
+    theta = np.pi * (np.arange(height // 2) + 0.5) / height
+    over = np.cos(theta) * np.sin(theta) * 2 * np.pi**2 / (width * height)
+    white = truth.patch_xyz[18, 1]
+    photometry = PhotometrySettings.model_validate(
+        {
+            "exposure": {"exposure": True},
+            "patch": {"patch": {"patch": "white", "luminance": white}},
+            "chart": {"chart_illuminance": white * np.pi / 0.9},
+            "map": {"horizontal_illuminance": float((true[: height // 2] * over[:, np.newaxis]).sum())},
+        }[way]
+    )
+    corrected, balanced = output / "correct" / "reference.exr", tmp_path / "balanced.exr"
+    settings = BalanceSettings(camera="Nikon 5100 (NPL)")
+    made = calibrate_on_lamp(corrected, settings, photometry)
+    assert not any("photometry" in text for text in made.warnings)
+    balance(corrected, balanced, settings, made)
+    done = panorama([balanced], tmp_path / "map.exr", PanoramaSettings(), photometry if way == "map" else None)
+    assert not done.warnings
+    header, image = exr.read_rgb(tmp_path / "map.exr")
+    assert header.attributes["unit"] == "cd.m^-2"
+    luminance = image @ rgb_space(header.attributes["envcalSpace"]).luminance_weights
+    lit = true > np.median(true)
+    assert np.median(luminance[lit] / true[lit]) == pytest.approx(1, abs=within)
+
+
 def test_a_second_run_does_no_stage_again(output):
     before = {path: path.stat().st_mtime_ns for path in output.rglob("*.*") if path.name not in ("run.json", ".lock")}
     loaded = config.load(ROOT / "pipeline.yaml", overrides=[f"output={output}"])

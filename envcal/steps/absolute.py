@@ -1,8 +1,8 @@
 """How many cd/m² the unit of a balanced image is: from the exposure, a meter's reading, or an illuminance.
 
-The chart carries it. Where the merged green of its white says a luminance (exposure), a meter read one of a patch, or the
-illuminance on it is known, the same patch in balanced RGB has a luminance in the image's unit; their ratio is the factor. An
-illuminance at the place of the map is compared with the integral of the map.
+Something in the reference carries it: the lamp, whose merged green says a luminance if ISO and aperture are believed; a patch of the
+chart that a meter read; the chart itself, if the illuminance on it is known. The same thing has a luminance in the image's own
+unit, and their ratio is the factor. An illuminance at the place of the map is compared with the integral of the map.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 #: A reading this many times beyond what the exposure allows is not a matter of meters: another patch, lux for cd/m², a digit.
 _BEYOND = 1.5
 #: Published colours whose components are this alike are those of neutral patches.
-_NEUTRAL = 1.1
+_NEUTRAL = 1.2
 
 
 def unit_of_chart(profile: Profile, settings: PhotometrySettings) -> tuple[Unit | None, list[str]]:
@@ -49,6 +49,11 @@ def unit_of_chart(profile: Profile, settings: PhotometrySettings) -> tuple[Unit 
             warnings.append(
                 f"photometry.patch: {patch.name} was left out of the chart's fit as spoilt (glare, dirt), and yet gives the unit. "
                 "Give the reading of another patch, or photograph the chart without glare."
+            )
+        if max(patch.target_rgb) > _NEUTRAL * min(patch.target_rgb):
+            warnings.append(
+                f"photometry.patch: {patch.name} is coloured, and the camera's colour error enters the unit (10 % on a blue patch). "
+                "Give the reading of a neutral patch, best the white one."
             )
         seen = _luminance(profile, patch)
         if not seen > 0:
@@ -95,23 +100,33 @@ def unit_of_map(
 
 
 def by_exposure(profile: Profile) -> float | None:
-    """Return the factor that ISO and aperture of the reference give; None where they are not known."""
+    """Return the factor that ISO and aperture of the reference give; None where they are not known.
+
+    The lamp carries it: speeds are defined for daylight, and the lamp is nearly that. A lamp whose green clips in one second
+    has the clipping luminance. Under another light green and luminance part (by 13 % under a warm LED).
+    """
     from calibrate.photometry import clipping_luminance
 
-    camera = profile.camera
-    if not camera.iso or not camera.f_number:
+    camera, lamp = profile.camera, profile.lamp
+    if not camera.iso or not camera.f_number or lamp is None:
         return None
-    neutral = [
-        patch
-        for patch in profile.chart.patches
-        if not patch.left_out and max(patch.target_rgb) < _NEUTRAL * min(patch.target_rgb)
-    ]
-    if not neutral:
-        return None
-    white = max(neutral, key=lambda patch: patch.target_rgb[1])
-    # A sensor's green follows the eye closely enough that a neutral's green is its luminance.
-    luminance = clipping_luminance(f_number=camera.f_number, iso=camera.iso) * white.camera_rgb[1]
-    return luminance / _luminance(profile, white)
+    rgb = np.asarray(lamp.rgb, np.float64)
+    green = float(_camera_rgb(profile, rgb)[1])
+    return clipping_luminance(f_number=camera.f_number, iso=camera.iso) * green / _balanced(profile, rgb)
+
+
+def _camera_rgb(profile: Profile, corrected: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the camera RGB [3] that the chart's fit takes to `corrected`: the matrix inverted, roots by Newton's method."""
+    matrix = profile.full_matrix()
+    linear, roots = matrix[:, :3], matrix[:, 3:]
+    camera = np.linalg.solve(linear + (roots.sum(axis=1)[:, np.newaxis] / 3 if roots.size else 0.0), corrected)
+    for _ in range(30 if roots.size else 0):
+        r = np.maximum(camera, 1e-12)
+        pairs = np.sqrt(r * np.roll(r, -1))
+        # d√(rg)/dr = √(rg)/2r, and so on round the three.
+        slope = np.diag(pairs / (2 * r)) + np.roll(np.diag(np.roll(pairs / (2 * np.roll(r, -1)), 1)), -1, axis=0)
+        camera = r - np.linalg.solve(linear + roots @ slope, linear @ r + roots @ pairs - corrected)
+    return np.asarray(camera)
 
 
 def doubts(unit: Unit, profile: Profile) -> list[str]:
