@@ -152,8 +152,8 @@ def test_every_file_says_what_it_holds(output):
 @pytest.mark.parametrize(
     ("way", "within"),
     [
-        # The standard's own camera, but for what the chart's fit and the demosaicing leave.
-        ("exposure", 0.03),
+        # The sample's camera keeps the standard for equal energy, not for daylight: 3 % of green.
+        ("exposure", 0.05),
         ("patch", 0.03),
         # A white of the published 0.9 in light that is not even.
         ("chart", 0.04),

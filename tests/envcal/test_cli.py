@@ -121,19 +121,19 @@ def test_ctrl_c_is_a_stop_and_no_mistake(tmp_path, monkeypatch):
 def test_compiled_code_goes_to_a_folder_of_this_process_where_nothing_else_can_be_written(monkeypatch):
     from pathlib import Path
 
-    from envcal import cli
+    from envcal.cli import group
 
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    monkeypatch.setattr(cli.os, "access", lambda *_: False)
-    cli._let_numba_cache()
-    folder = Path(cli.os.environ["NUMBA_CACHE_DIR"])
+    monkeypatch.setattr(group.os, "access", lambda *_: False)
+    group._let_numba_cache()
+    folder = Path(group.os.environ["NUMBA_CACHE_DIR"])
     assert folder.is_dir()
     assert list(folder.iterdir()) == []
-    assert folder.stat().st_mode & 0o077 == 0 or cli.os.name == "nt"
+    assert folder.stat().st_mode & 0o077 == 0 or group.os.name == "nt"
     folder.rmdir()
     monkeypatch.delenv("NUMBA_CACHE_DIR")
     monkeypatch.undo()
-    cli._let_numba_cache()
+    group._let_numba_cache()
 
 
 def test_a_report_without_a_run_is_refused(tmp_path):
