@@ -37,6 +37,10 @@ _FILLERS = frozenset({"zoom", "lens"})
 _MOST_NAMED = 8
 
 
+class UnknownLensError(EnvcalError):
+    """A lens whose fall-off is not known; what `merge.lens: auto` tells instead of refusing."""
+
+
 @dataclass(frozen=True, slots=True)
 class KnownLens:
     """A lens of the database as it was set: `corner` is the share of light in the corners, `warnings` doubts about it."""
@@ -58,9 +62,11 @@ def known_lens(info: FrameInfo, asked: LensByName | None = None, *, database: Pa
 
     Raises
     ------
-    EnvcalError
+    UnknownLensError
         lensfunpy is missing; camera or lens is not in the database, or several are; focal length or aperture is unknown or outside of
         what was measured; no fall-off was measured. The message names what comes nearest.
+    EnvcalError
+        `database` cannot be read.
     """
     from calibrate.lens import on_sensor
 
@@ -75,7 +81,7 @@ def known_lens(info: FrameInfo, asked: LensByName | None = None, *, database: Pa
     points = list(lens.calib_vignetting)
     place = f"{info.name}: {lens.model}"
     if not points:
-        raise EnvcalError(
+        raise UnknownLensError(
             f"{place}: the lens is in the database, but nobody has measured its fall-off. Photograph a `merge.flat_field`, or set "
             "`merge.lens: off`."
         )
@@ -88,7 +94,7 @@ def known_lens(info: FrameInfo, asked: LensByName | None = None, *, database: Pa
     def at(metres: float) -> tuple[float, float, float]:
         found = lens.interpolate_vignetting(focal, min(f_number, max(apertures)), metres)
         if found is None or "PA" not in str(found.model):
-            raise EnvcalError(
+            raise UnknownLensError(
                 f"{place}: the database has no fall-off for {focal:g} mm, f/{f_number:g}, {metres:g} m. Photograph a "
                 "`merge.flat_field`, or set `merge.lens: off`."
             )
@@ -131,7 +137,7 @@ def _entries(database: Path | None) -> Any:
     try:
         import lensfunpy  # type: ignore[import-untyped, unused-ignore]
     except ImportError:
-        raise EnvcalError(
+        raise UnknownLensError(
             "merge.lens: the package lensfunpy is not installed; the data of known lenses come with it. Install it with `pip install "
             "'envcal[lens]'`, or set `merge.lens: off`."
         ) from None
@@ -204,7 +210,7 @@ def _refuse(frame: str, what: str, found: Sequence[Any], near: Sequence[str], ke
         f"is {len(found)} times in the lens database, with different data" if found else "is not in the lens database"
     )
     nearest = f" Nearest: {'; '.join(names)}." if names else " Nothing in it has a similar name."
-    raise EnvcalError(
+    raise UnknownLensError(
         f"{frame}: {what}: {state}; one entry is expected.{nearest} Name it in `merge.lens: {{name: …"
         f"{', camera: …' if key == 'camera' else ''}}}`, photograph a `merge.flat_field`, or set `merge.lens: off`."
     )
@@ -213,7 +219,7 @@ def _refuse(frame: str, what: str, found: Sequence[Any], near: Sequence[str], ke
 def _set_to(word: str, key: str, asked: float | None, told: float | None, frame: str) -> float:
     value = asked or told
     if not value:
-        raise EnvcalError(
+        raise UnknownLensError(
             f"{frame}: no {word} in the file; the fall-off depends on it. Give `merge.lens: {{name: …, {key}: …}}`."
         )
     return value
@@ -226,7 +232,7 @@ def _inside(
     # Stopped down further, a lens's fall-off is the geometry's alone, and stays.
     if low * (1 - _BEYOND) <= value and (open_end or value <= high * (1 + _BEYOND)):
         return
-    raise EnvcalError(
+    raise UnknownLensError(
         f"{place}: {word} {sign}{value:g}{unit}; its fall-off was measured from {sign}{low:.3g} to {sign}{high:.3g}{unit}. Correct it in "
         "`merge.lens`, photograph a `merge.flat_field`, or set `merge.lens: off`."
     )

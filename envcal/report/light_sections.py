@@ -342,7 +342,7 @@ def spectra(output: Path) -> dict[str, Any] | None:
         "last": wavelengths[-1],
         "count": len(wavelengths),
         "kind": {"f2": "half", "f4": "float"}.get(header.channels[bands[wavelengths[0]]], "unsigned"),
-        "unit": header.attributes.get("unit", "relative"),
+        "unit": header.attributes.get("bandUnit") or header.attributes.get("unit", "relative"),
         "layout": header.attributes.get("spectralLayoutVersion"),
         "example": spectral_exr.channel(wavelengths[0]),
         "missing": bool(small.missing.any()),

@@ -42,6 +42,8 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
 
     raws = [raw.described(**changes_of(raw.path.name, settings)) for raw in open_bracket(frames)]
     check_bracket([raw.info for raw in raws], mixed_iso=settings.mixed_iso, mixed_aperture=settings.mixed_aperture)
+    infos = [raw.info for raw in raws]
+    vignetting, lens, doubts = fall_off(settings, infos)
     asked = _asked(settings, raws)
     measured = measure_bracket(raws, asked)
     placed, displaced, moves = _placed(raws, measured, settings)
@@ -58,7 +60,6 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
         ghosts=None if ghosts is None else ghosts.masks,
         progress=progress,
     )
-    infos = [raw.info for raw in raws]
     info = infos[0]
     # Mixed brackets are merged in units of the lowest ISO and the smallest opening.
     iso = min((one.iso for one in infos if one.iso), default=None)
@@ -68,7 +69,6 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
     lost = lost_pixels(image)
     share = lost_share(lost)
     image, warnings = _filled(image, merged, settings, share)
-    vignetting, lens, doubts = _vignetting(settings, infos)
     warnings += doubts
     if vignetting is not None:
         image = remove_vignetting(image, vignetting)
@@ -166,24 +166,24 @@ def _asked(settings: MergeSettings, raws: Sequence[RawFrame]) -> Any:
     )
 
 
-def _vignetting(
+def fall_off(
     settings: MergeSettings, infos: Sequence[FrameInfo]
 ) -> tuple[Vignetting | None, Mapping[str, Any] | None, list[str]]:
     """Return the lens's fall-off, the lens where it is known from the database, and what a person should know."""
     if settings.lens == "off":
         return _own_vignetting(settings), None, []
-    from envcal.lens_data import known_lens
+    from envcal.lens_data import UnknownLensError, known_lens
 
     asked = None if isinstance(settings.lens, str) else settings.lens
     try:
         apertures = sorted({info.f_number for info in infos if info.f_number})
         if len(apertures) > 1:
-            raise EnvcalError(
+            raise UnknownLensError(
                 f"{infos[0].name}: the bracket has apertures from f/{apertures[0]:g} to f/{apertures[-1]:g}, and the fall-off is another at "
                 "each; one aperture is expected. Set `merge.lens: off`, or photograph with one aperture."
             )
         found = known_lens(infos[0], asked, database=settings.lens_database)
-    except EnvcalError as error:
+    except UnknownLensError as error:
         if settings.lens != "auto":
             raise
         return None, None, [f"merge.lens auto: no fall-off was taken out. {error}"]

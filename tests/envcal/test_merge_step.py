@@ -247,6 +247,32 @@ def test_a_lens_that_is_not_known_is_refused_or_told_never_passed_over(tmp_path:
     assert not any("merge.lens" in w for w in merge(frames, out, MergeSettings()).warnings)
 
 
+def test_check_finds_an_unknown_lens_and_a_missing_aperture_before_anything_runs(tmp_path: Path) -> None:
+    pytest.importorskip("lensfunpy", reason="the extra `lens` is not installed")
+    through_a_lens(tmp_path, "Unheard 35mm", f_number=None)
+    (tmp_path / "lenses.xml").write_text(DATABASE, encoding="utf-8")
+    pipeline = tmp_path / "p.yaml"
+
+    def checked(lens: str, exposure: bool) -> list[str]:
+        pipeline.write_text(
+            f"capture: {{reference: '*.dng'}}\nmerge: {{lens: {lens}, lens_database: lenses.xml}}\n"
+            f"photometry: {{exposure: {str(exposure).lower()}}}\n",
+            encoding="utf-8",
+        )
+        return check_frames(load(pipeline))
+
+    with pytest.raises(EnvcalError) as caught:
+        checked("required", True)
+    assert "'Unheard 35mm'" in str(caught.value)
+    assert "photometry.exposure: " in str(caught.value)
+    assert "tells no aperture" in str(caught.value)
+    assert any("merge.lens auto" in text for text in checked("auto", False))
+    # A database that cannot be read is a mistake whatever was asked for.
+    (tmp_path / "lenses.xml").write_text("<lensdatabase version='1'></lensdatabase>", encoding="utf-8")
+    with pytest.raises(EnvcalError, match="holds no lens"):
+        checked("auto", False)
+
+
 def test_one_fall_off_is_no_answer_for_several_apertures(tmp_path: Path) -> None:
     frames, other = through_a_lens(tmp_path), tmp_path / "other"
     other.mkdir()
