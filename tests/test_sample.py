@@ -155,7 +155,7 @@ def test_every_file_says_what_it_holds(output):
         # The sample's camera keeps the standard for equal energy, not for daylight: 3 % of green.
         ("exposure", 0.05),
         ("patch", 0.03),
-        # A white of the published 0.9 in light that is not even.
+        # The light in the middle of the chart, from its patches' published luminance factors, which are for D65.
         ("chart", 0.04),
         # The map's own errors, the dim and coloured parts included, are summed up in it.
         ("map", 0.05),
@@ -172,11 +172,14 @@ def test_every_way_to_absolute_units_gives_the_rooms_own_candelas(output, truth,
     theta = np.pi * (np.arange(height // 2) + 0.5) / height
     over = np.cos(theta) * np.sin(theta) * 2 * np.pi**2 / (width * height)
     white = truth.patch_xyz[18, 1]
+    weights = rgb_space("ITU-R BT.2020").luminance_weights
+    patches = profile.read(output / "correct" / "profile.json").chart.patches
+    published = np.array([patch.target_rgb for patch in patches]) @ weights
     photometry = PhotometrySettings.model_validate(
         {
             "exposure": {"exposure": True},
             "patch": {"patch": {"patch": "white", "luminance": white}},
-            "chart": {"chart_illuminance": white * np.pi / 0.9},
+            "chart": {"chart_illuminance": np.pi * float(np.exp(np.mean(np.log(truth.patch_xyz[:, 1] / published))))},
             "map": {"horizontal_illuminance": float((true[: height // 2] * over[:, np.newaxis]).sum())},
         }[way]
     )
@@ -189,7 +192,7 @@ def test_every_way_to_absolute_units_gives_the_rooms_own_candelas(output, truth,
     assert not done.warnings
     header, image = exr.read_rgb(tmp_path / "map.exr")
     assert header.attributes["unit"] == "cd.m^-2"
-    luminance = image @ rgb_space(header.attributes["envcalSpace"]).luminance_weights
+    luminance = image @ weights
     lit = true > np.median(true)
     assert np.median(luminance[lit] / true[lit]) == pytest.approx(1, abs=within)
 
