@@ -51,6 +51,15 @@ def _explain(path: Path, error: OSError) -> str:
     return f"{path}: cannot be written ({error.strerror or error}). Check the folder and its permissions."
 
 
+def check_folder(folder: Path) -> None:
+    """Refuse a name for an output folder at which, or above which, there is a file."""
+    for place in (folder, *folder.parents):
+        if place.is_file():
+            raise EnvcalError(
+                f"{folder}: the output has to be a folder, and {place} is a file. Give another name to -o."
+            )
+
+
 def write_text(path: Path, text: str) -> None:
     """Write `text` as UTF-8 with line feeds, whole or not at all."""
     with replacing(path) as part:

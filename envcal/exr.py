@@ -213,6 +213,8 @@ def header(path: Path) -> Header:
     """Read the header of the first part of an EXR file."""
     import OpenEXR
 
+    if path.is_dir():
+        raise EnvcalError(f"{path}: is a folder; an .exr file is expected. Give the file in it.")
     if not path.is_file():
         raise EnvcalError(f"{path}: there is no such file.")
     with path.open("rb") as handle:

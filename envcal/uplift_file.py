@@ -147,10 +147,13 @@ def read_about(path: Path) -> tuple[exr.Header, About]:
 
 def read_any_about(path: Path) -> tuple[exr.Header, About | LatticeAbout]:
     """Read what an uplift file of either format says of itself."""
+    if path.is_dir():
+        raise EnvcalError(f"{path}: is a folder; an uplift file is expected. {_file_within(path)}")
+    if path.suffix.lower() == ".hdr" and path.is_file():
+        raise EnvcalError(f"{path}: is not an uplift file, which is an .exr. {_made_of(path)}")
     header = exr.header(path)
-    remedy = f"Make one with `envcal uplift MAP -o {path.name}`."
     if ATTRIBUTE not in header.attributes:
-        raise EnvcalError(f"{path}: is not an uplift file: it has no `{ATTRIBUTE}` in its header. {remedy}")
+        raise EnvcalError(f"{path}: is not an uplift file: it has no `{ATTRIBUTE}` in its header. {_remedy(header)}")
     value = header.json(ATTRIBUTE)
     if isinstance(value, dict) and isinstance(value.get("format"), int) and value["format"] not in (1, 2):
         raise EnvcalError(
@@ -170,8 +173,41 @@ def read_any_about(path: Path) -> tuple[exr.Header, About | LatticeAbout]:
         ) from None
     absent = [name for name in channels(about) if name not in header.channels and name != "status"]
     if absent:
-        raise EnvcalError(f"{path}: is not an uplift file: it has no channel {', '.join(absent)}. {remedy}")
+        raise EnvcalError(
+            f"{path}: is damaged: it has no channel {', '.join(absent)}. Make it again with `envcal uplift`."
+        )
     return header, about
+
+
+def _file_within(folder: Path) -> str:
+    """Say which file of a folder was probably meant."""
+    meant = (folder / "uplift" / "environment.exr", folder / "environment.exr")
+    found = next((path for path in meant if path.is_file() and ATTRIBUTE in exr.header(path).attributes), None)
+    return (
+        f"Give {found}." if found else "Give the file that `envcal uplift` writes (of a run: uplift/environment.exr)."
+    )
+
+
+def _made_of(path: Path) -> str:
+    return f"Make one of it: `envcal uplift {path} -o {path.with_name(path.stem + '_uplift.exr')}`."
+
+
+def _remedy(header: exr.Header) -> str:
+    """Say how to come to an uplift file from another file of ours, or from a map."""
+    path, planes = header.path, header.channels
+    if "cluster" in planes:
+        return (
+            "It holds the lights that `envcal cluster` found in a map: give both to the uplift, `envcal uplift MAP "
+            f"--clusters {path} -o {path.with_name(path.stem + '_uplift.exr')}`, and what that writes here."
+        )
+    if "spectralLayoutVersion" in header.attributes or any(name.startswith("S0.") for name in planes):
+        return (
+            "It is a spectral image, as `envcal spectra` makes it of an uplift file: give the uplift file itself (of a "
+            "run: uplift/environment.exr)."
+        )
+    if set("RGB") <= set(planes):
+        return _made_of(path)
+    return "Give the file that `envcal uplift` writes (of a run: uplift/environment.exr)."
 
 
 def channels(about: About | LatticeAbout) -> dict[str, str]:

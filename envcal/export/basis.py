@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from envcal import atomic, exr, provenance
-from envcal.export.opened import Opened, bands, open_uplift
+from envcal.export.opened import Opened, bands, kelvin, open_uplift, undeclared
 from envcal.export.pbrt import spd
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
@@ -34,6 +34,7 @@ _FINE = np.arange(360.0, 831.0, 1.0)
 
 def export_basis(source: Path, folder: Path, *, progress: Progress = silent) -> Outcome:
     """Write a map of coefficients and three film responses for each light, `passes.py` and a README.md into `folder`."""
+    atomic.check_folder(folder)
     opened = open_uplift(source)
     coefficients, scale, cluster = _whole(opened)
     used = [int(k) for k in np.unique(cluster[scale > 0])]
@@ -59,7 +60,7 @@ def export_basis(source: Path, folder: Path, *, progress: Progress = silent) -> 
     atomic.write_text(folder / "README.md", _readme(source.name, lights, opened.unit))
     height, width = opened.size
     figures = {"lights": lights, "rows": 2 * height + 1, "columns": width}
-    return Outcome(f"{len(lights)} passes with maps of {width}×{2 * height + 1}", figures)
+    return Outcome(f"{len(lights)} passes with maps of {width}×{2 * height + 1}", figures, undeclared(opened.about))
 
 
 def _whole(opened: Opened) -> tuple[Float32, Float32, npt.NDArray[np.uint32]]:
@@ -212,9 +213,7 @@ if __name__ == "__main__":
 
 def _readme(source: str, lights: list[dict[str, Any]], unit: Unit | None) -> str:
     rows = "\n".join(
-        f"| `{light['name']}` | {light['type']} | {'–' if light['cct'] is None else format(light['cct'], '.0f') + ' K'} "
-        f"| {light['source']} |"
-        for light in lights
+        f"| `{light['name']}` | {light['type']} | {kelvin(light['cct'])} | {light['source']} |" for light in lights
     )
     return f"""# {source} for Mitsuba 3 without a plugin
 
@@ -241,7 +240,9 @@ In the scene, the environment and the film of the sensor read
 </film>
 ```
 
-and nothing else shines; other lights are rendered once, by themselves, and added. Mitsuba's convention holds: the middle of the
+`passes.py` fills in `$basis` (the folder it stands in) and `$light` (`light0`, …) for each pass, so write them as they stand here.
+`blank.exr` is black: `passes.py` puts a light's data in its place, and without it nothing is lit. Nothing else in the scene shines;
+other lights are rendered once, by themselves, and added. Mitsuba's convention holds: the middle of the
 map stands towards +Z, `to_world` turns it.
 
 ## How it works
@@ -253,8 +254,8 @@ The picture's unit is the map's: {"relative" if unit is None else unit.told()}.
 
 ## What is exact, what is lost
 
-- At the texels: the spectra, to Mitsuba's single precision (it evaluates the polynomial in nanometres, where its terms cancel:
-  up to some 10⁻⁴ of the brightest spectrum).
+- At the texels: the spectra, to Mitsuba's single precision. It evaluates the polynomial in nanometres, where its terms cancel: mostly
+  some 10⁻⁶ of the reflectance, in single pixels of deep colour some 10⁻³.
 - Between texels Mitsuba interpolates the shape and the scale of a spectrum each by itself. Where a bright and a dark texel of different
   colour meet, as at the rim of the sun, what lies between has a wrong colour; the `envcal` emitter has not. The maps have twice the
   rows of the original to meet Mitsuba's rows, which run from pole to pole; a texel between two of ours has their mean colour.

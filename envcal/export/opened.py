@@ -18,6 +18,8 @@ from uplift.spectrum import Observer, RGBSpace, observer, rgb_space
 
 Float64 = npt.NDArray[np.float64]
 
+#: The largest finite half float.
+LARGEST_HALF = 65504.0
 #: Pixels that are held at a time.
 TILE_PIXELS = 1 << 20
 
@@ -75,6 +77,22 @@ def open_uplift(path: Path) -> Opened:
     grid = about.wavelengths_nm
     seen = observer(grid[0], grid[-1], (grid[-1] - grid[0]) / (len(grid) - 1), about.observer)
     return Opened(path, header, about, seen, rgb_space(about.space, observer=seen))
+
+
+def kelvin(cct: float | None) -> str:
+    """Return a colour temperature for a table; a dash where there is none."""
+    return "–" if cct is None else f"{cct:.0f} K"
+
+
+def undeclared(about: About) -> list[str]:
+    """Return a hint to declare the lights if the kind of none of them is known: their spectra are then guesses."""
+    lights = [cluster for cluster in about.clusters if cluster.type != "fallback"]
+    if about.method != "constrained" or not lights or any(light.type != "smooth" for light in lights):
+        return []
+    return [
+        "the kind of no light is known, so all spectra are smooth guesses. If you know the lamps, declare them (`envcal "
+        "uplift MAP --lights lights.yaml`, or `cluster: lights` in pipeline.yaml; docs/stages/cluster.md says how)."
+    ]
 
 
 def bands(opened: Opened) -> Iterator[Band]:

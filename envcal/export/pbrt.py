@@ -18,7 +18,7 @@ import numpy.typing as npt
 from envcal import atomic, exr, provenance
 from envcal.export.loss import loss
 from envcal.export.octahedral import resampled, side_of
-from envcal.export.opened import Opened, bands, conversion, open_uplift
+from envcal.export.opened import LARGEST_HALF, Opened, bands, conversion, kelvin, open_uplift, undeclared
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
 from uplift.spectrum import rgb_space
@@ -32,6 +32,7 @@ def export_pbrt(source: Path, folder: Path, *, half: bool = False, progress: Pro
 
     The figures say what pbrt's own spectra lose against the file's: ΔE2000 of ColorChecker patches lit by single pixels.
     """
+    atomic.check_folder(folder)
     opened = open_uplift(source)
     latlong, cluster, clipped = _latlong(opened)
     used = [int(k) for k in np.unique(cluster[latlong.max(axis=-1) > 0])]
@@ -43,8 +44,8 @@ def export_pbrt(source: Path, folder: Path, *, half: bool = False, progress: Pro
     for number, k in enumerate(used):
         image = resampled(latlong, cluster, k, side)
         if half:
-            overflow += int((image > 65504.0).any(axis=-1).sum())
-            image = np.minimum(image, 65504.0)
+            overflow += int((image > LARGEST_HALF).any(axis=-1).sum())
+            image = np.minimum(image, LARGEST_HALF)
         name, about = f"light{k}", opened.about.clusters[k]
         attributes = {
             **provenance.attributes(
@@ -96,6 +97,7 @@ def export_pbrt(source: Path, folder: Path, *, half: bool = False, progress: Pro
         warnings.append(f"{clipped} pixels lie outside of Rec. 2020; pbrt takes negative components for 0.")
     if overflow:
         warnings.append(f"{overflow} texels are above 65504 and were set to it. Leave out --half.")
+    warnings += undeclared(opened.about)
     return Outcome(f"{len(lights)} lights of {side}×{side} for pbrt-v4", figures, warnings)
 
 
@@ -155,10 +157,11 @@ def _unit(told: str | None) -> str:
 def _readme(figures: dict[str, Any], source: str) -> str:
     lost = figures["relight_delta_e"]
     rows = "\n".join(
-        f"| `{light['name']}.exr` | {light['type']} | {'–' if light['cct'] is None else format(light['cct'], '.0f') + ' K'} "
+        f"| `{light['name']}.exr` | {light['type']} | {kelvin(light['cct'])} "
         f"| {light['mean_luminance']:.4g} | {light['source']} |"
         for light in figures["lights"]
     )
+    overflow = f"; {figures['overflow']} texels were too bright for a half float" if figures["half"] else ""
     return f"""# {source} for pbrt-v4
 
 `Include "environment.pbrt"` in the world block of a scene. The maps are {figures["side"]}×{figures["side"]}, linear Rec. 2020, in the square
@@ -169,12 +172,13 @@ left out by its `scale`. Their sum is the whole map.
 |---|---|---|---|---|
 {rows}
 
-A map value of 1 is a radiance of 1, white, in the rendered image at pbrt's default exposure (`iso` 100, 1 s). {_unit(figures["unit"])}
+A map value of 1 is a radiance of 1, white, in the rendered image at pbrt's default exposure (`iso` 100, 1 s): so its sources say, pbrt
+has not been run. In pbrt's frame the middle of the map stands at −x and up is +z; `environment.pbrt` has the transform for scenes of +y. {_unit(figures["unit"])}
 
 ## What is kept
 
 Colours and light: the mean luminance over the sphere is {figures["energy_ratio"]:.5f} of the original's. {figures["negative"]} pixels lay
-outside of Rec. 2020 and lost their negative components; {figures["overflow"]} texels were too bright for a half float.
+outside of Rec. 2020 and lost their negative components{overflow}.
 
 ## What is lost
 

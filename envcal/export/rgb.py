@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from envcal import atomic, exr, provenance
-from envcal.export.opened import bands, conversion, open_uplift
+from envcal.export.opened import LARGEST_HALF, bands, conversion, open_uplift
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
 from uplift.spectrum import rgb_space
 
-#: The largest finite half float.
-LARGEST_HALF = 65504.0
+#: The space whose triangle encloses the spectral locus; adapted from D65, a laser leaves it by half a per cent at most.
+WIDEST = "ACES2065-1"
 
 
 def file_name(space: str) -> str:
@@ -30,6 +30,7 @@ def export_rgb(
     possible colour are shown as they will light. White is kept (Bradford). Negative components, colours outside of
     `space`, are kept and counted. With `half`, what is brighter than a half float can hold is set to 65504 and counted.
     """
+    atomic.check_folder(folder)
     opened = open_uplift(source)
     target = rgb_space(space, observer=opened.observer)
     matrix = conversion(opened.space, target)
@@ -79,29 +80,43 @@ def export_rgb(
             f"65504) and were set to 65504: {figures['light_lost']:.2%} of the light is lost. Leave out --half."
         )
     if outside:
+        wider = (
+            "" if space == WIDEST else f"; {WIDEST} holds all but the very purest colours of light (`--space {WIDEST}`)"
+        )
         warnings.append(
             f"{outside} of {height * width} pixels have colours outside of {space}: a component is negative. Renderers "
-            f"clip it, which changes the colour; a wider space such as ACEScg loses less."
+            f"clip it, which changes the colour{wider}."
         )
     atomic.write_text(folder / "README.md", _readme(figures, opened.space.name))
     kind = "half" if half else "float"
     return Outcome(f"{width}×{height} in {space}, {kind}", figures, warnings)
 
 
-def _unit(told: object) -> str:
-    return "values are relative to a D65 white of 1." if told is None else f"(1, 1, 1) is 1 cd/m²: {told}."
+def _brightness(told: object) -> str:
+    if told is not None:
+        return f"(1, 1, 1) is 1 cd/m²: {told}."
+    return """Relative: (1, 1, 1) is the white of luminance 1, and stays (1, 1, 1) in a renderer
+that takes maps as they are. In a map from `envcal run` that is the white of the D65 lamp (unless `balance: {luminance: keep}`).
+No unit such as cd/m² stands behind it; set the exposure, or the strength of the light, in the renderer."""
 
 
 def _readme(figures: dict[str, object], source: str) -> str:
+    overflow = (
+        f"; set to 65504, being brighter than a half float can hold: {figures['overflow']}" if figures["half"] else ""
+    )
     return f"""# RGB map
 
 `{figures["file"]}`: lat-long, linear {figures["space"]} (the header's `chromaticities`), {"half" if figures["half"] else "float"}.
-Row 0 is up, the first column's left edge is u = 0; {_unit(figures["unit"])}
+
+**Orientation.** The first row is up (+Y). Seen from inside, with the middle of the map straight ahead (−Z), a quarter of the
+width to the right of the middle is at the right hand (+X), and both edges are behind (+Z). Renderers have frames of their own:
+where the middle comes out elsewhere, turn the light about the vertical.
+
+**Brightness.** {_brightness(figures["unit"])}
 
 White stays white: between spaces of different white points ({source} has D65; ACES spaces have ACES white, about D60) the
 colours are adapted by Bradford's method.
 
 What is lost: the spectra. A renderer that uplifts this map by itself gives every pixel a smooth spectrum under one white, and
-what it lights will look as under that, not as under the lamps of the place. Pixels outside of the space: {figures["outside"]};
-pixels that a half float could not hold: {figures["overflow"]}.
+what it lights will look as under that, not as under the lamps of the place. Pixels outside of the space: {figures["outside"]}{overflow}.
 """

@@ -26,6 +26,8 @@ class _Difference(BaseModel):
     p95: float
     max: float
     noise: float
+    outside: float = 0.0
+    outside_mean: float = 0.0
 
 
 class _Figures(BaseModel):

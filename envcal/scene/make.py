@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from envcal import atomic, exr, provenance
 from envcal.errors import EnvcalError
-from envcal.export.opened import Opened, bands, conversion, open_uplift
+from envcal.export.opened import Opened, bands, conversion, open_uplift, undeclared
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
 from envcal.scene import description
@@ -38,16 +38,20 @@ def make_scene(
     Renders are `uplift.exr` and `scaled.exr` (linear sRGB), the same as `.png` at one exposure, `difference.png`
     (ΔE2000) and `figures.json`. Without Mitsuba the scene is written all the same, and a warning says what to install.
     """
+    atomic.check_folder(folder)
     opened = open_uplift(source)
     width, height = size or SIZE
     _write_rgb_map(opened, folder / "map_rgb.exr")
     atomic.write_text(folder / "scene.xml", description.scene_xml(width=width, height=height, spp=16))
-    atomic.write_text(folder / "uplift.xml", description.uplift_xml(_relative(source, folder)))
+    named = _relative(source, folder)
+    atomic.write_text(folder / "uplift.xml", description.uplift_xml(named))
     atomic.write_text(folder / "scaled.xml", description.scaled_xml("map_rgb.exr"))
     atomic.write_text(folder / "render.py", description.SCRIPT)
-    written = "scene.xml and render.py"
+    where = f"uplift.xml finds {source.resolve()} by the name {named}: move both together, or edit that line"
+    not_rendered = f"scene.xml and render.py; not rendered; {where}"
+    hint = undeclared(opened.about)
     if not render:
-        return Outcome(f"{written}; not rendered", {"rendered": False})
+        return Outcome(not_rendered, {"rendered": False}, hint)
     from envcal.scene.render import SCALAR_SIZE, SCALAR_SPP, set_variant
 
     try:
@@ -55,7 +59,7 @@ def make_scene(
     except EnvcalError as error:
         if variant != "auto":
             raise
-        return Outcome(f"{written}; not rendered", {"rendered": False}, [str(error)])
+        return Outcome(not_rendered, {"rendered": False}, [str(error), *hint])
     if "spectral" not in used:
         raise EnvcalError(f"{used}: has no spectra, and the comparison is of spectra. Take a *_spectral variant.")
     if used.startswith("scalar"):
@@ -64,9 +68,9 @@ def make_scene(
     difference = figures["difference"]
     summary = (
         f"rendered {figures['width']}×{figures['height']}; spectra against RGB: ΔE2000 {difference['mean']:.2f} in the mean "
-        f"(noise {difference['noise']:.2f})"
+        f"(noise {difference['noise']:.2f}); {where}"
     )
-    return Outcome(summary, {"rendered": True, **figures}, [remark] if remark else [])
+    return Outcome(summary, {"rendered": True, **figures}, [*([remark] if remark else []), *hint])
 
 
 def _relative(source: Path, folder: Path) -> str:
@@ -160,6 +164,8 @@ def _render(
             "p95": difference.p95,
             "max": difference.largest,
             "noise": difference.noise,
+            "outside": difference.outside,
+            "outside_mean": difference.outside_mean,
         },
     }
     atomic.write_json(folder / FIGURES, figures)

@@ -19,19 +19,29 @@ Float64 = npt.NDArray[np.float64]
 #: Renders are averaged over this many pixels a side before they are compared: ΔE sees noise as difference.
 _SMOOTHING = 3
 _SCALES = (1.0, 2.0, 5.0, 10.0, 20.0)
+#: A colour is outside of sRGB if a component is below minus this share of the largest; noise alone stays above it.
+_OUTSIDE = 0.01
 _COLOURS = "magma"
+#: From this width on, in pixels, the colour bar has six figures rather than two.
+_WIDE = 300
 _INK, _PAPER, _MUTED = "#e6e6e6", "#151515", "#a3a3a3"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Difference:
-    """ΔE2000 [height, width] between two renders, and what noise alone makes of the mean."""
+    """ΔE2000 [height, width] between two renders, its figures, and what noise alone makes of the mean.
+
+    `mean`, `p95`, `largest` and `noise` leave the background out where its colour is outside of sRGB; `outside` is the
+    share of the picture that this is, `outside_mean` its own mean ΔE2000 (0 where there is none).
+    """
 
     delta_e: Float64
     mean: float
     p95: float
     largest: float
     noise: float
+    outside: float = 0.0
+    outside_mean: float = 0.0
 
 
 def compare(reference: Rendered, other: Rendered, *, gain: float) -> Difference:
@@ -40,27 +50,48 @@ def compare(reference: Rendered, other: Rendered, *, gain: float) -> Difference:
     Noise counts as difference. Half of the samples have twice its variance: what the mean is larger by when even and
     odd passes are compared by themselves tells, squared, the share of noise in the whole. Both lightings are rendered with
     the same random numbers, so much of their noise is common and does not count.
+
+    Mitsuba's own map cannot have the colours outside of sRGB. Where such a colour is seen in the background the pictures
+    differ by that and not by what the light does to surfaces, so these pixels are counted apart.
     """
     delta_e = _delta_e(reference.image, other.image, gain)
-    mean = float(delta_e.mean())
+    apart = outside_srgb(reference)
+    counted = ~apart if not apart.all() else np.ones_like(apart)
+    mean = float(delta_e[counted].mean())
     halves = [
-        float(_delta_e(*pair, gain).mean()) for pair in ((reference.even, other.even), (reference.odd, other.odd))
+        float(_delta_e(*pair, gain)[counted].mean())
+        for pair in ((reference.even, other.even), (reference.odd, other.odd))
     ]
     return Difference(
         delta_e,
         mean,
-        float(np.percentile(delta_e, 95)),
-        float(delta_e.max()),
+        float(np.percentile(delta_e[counted], 95)),
+        float(delta_e[counted].max()),
         float(max((sum(halves) / 2) ** 2 - mean**2, 0.0) ** 0.5),
+        float(apart.mean()),
+        float(delta_e[apart].mean()) if apart.any() else 0.0,
     )
+
+
+def outside_srgb(picture: Rendered) -> npt.NDArray[np.bool_]:
+    """Return the background pixels [height, width] whose colour is outside of sRGB, or averaged with one that is."""
+    if picture.background is None:
+        return np.zeros(picture.image.shape[:2], np.bool_)
+    smooth = _smooth(picture.image)
+    outside = smooth.min(axis=2) < -_OUTSIDE * smooth.max(axis=2)
+    near = cv2.dilate((outside & picture.background).astype(np.uint8), np.ones((_SMOOTHING, _SMOOTHING), np.uint8)) > 0
+    return np.asarray(near & picture.background, np.bool_)
+
+
+def _smooth(image: Image) -> Image:
+    return np.asarray(cv2.blur(image, (_SMOOTHING, _SMOOTHING)), np.float32)
 
 
 def _delta_e(first: Image, second: Image, gain: float) -> Float64:
     from uplift.difference import delta_e_2000
     from uplift.spectrum import rgb_space
 
-    smooth = [cv2.blur(image, (_SMOOTHING, _SMOOTHING)) for image in (first, second)]
-    return delta_e_2000(smooth[0], smooth[1], rgb_space("sRGB"), white=1.0 / gain)
+    return delta_e_2000(_smooth(first), _smooth(second), rgb_space("sRGB"), white=1.0 / gain)
 
 
 def gain_of(image: Image) -> float:
@@ -96,36 +127,78 @@ def field(delta_e: Float64, end: float) -> npt.NDArray[np.uint8]:
 
 
 def difference_picture(difference: Difference) -> npt.NDArray[np.uint8]:
-    """The map of ΔE2000 as a picture of the same width, with a colour bar and a legend below."""
+    """The map of ΔE2000 as a picture of the same width, with a colour bar and, wrapped to the width, a legend below."""
+    end = scale_end(difference)
+    picture = field(difference.delta_e, end)
+    return np.concatenate([picture, _legend(difference, end, picture.shape[1])], axis=0)
+
+
+def caption(difference: Difference) -> list[str]:
+    """What is to be read below the map of ΔE2000, a sentence a line."""
+    lines = [
+        f"ΔE2000, spectra against RGB: mean {difference.mean:.2f}, 95 % below {difference.p95:.2f}",
+        f"of which noise {difference.noise:.2f}; about 1 is just visible side by side",
+    ]
+    if difference.outside > 0:
+        lines.append(
+            f"counted apart: background outside of sRGB, {100 * difference.outside:.1f} % of the picture, mean "
+            f"{difference.outside_mean:.2f}"
+        )
+    return lines
+
+
+def _legend(difference: Difference, end: float, width: int) -> npt.NDArray[np.uint8]:
+    """The colour bar with its scale, and the caption [height, width, 3], in letters that grow with the width."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    width = difference.delta_e.shape[1]
-    end = scale_end(difference)
-    colours = mpl.colormaps[_COLOURS]
-    strip = max(64, round(0.105 * width))
     dpi = 100
-    size = max(7.0, 0.0145 * width)
-    with mpl.rc_context({"font.family": ["DejaVu Sans"], "font.size": size * 72 / dpi, "text.parse_math": False}):
-        figure = Figure(figsize=(width / dpi, strip / dpi), dpi=dpi, facecolor=_PAPER)
-        axes: Any = figure.add_axes((0.03, 0.56, 0.45, 0.22))
-        axes.imshow(np.linspace(0, 1, 256)[np.newaxis], aspect="auto", cmap=colours, extent=(0, end, 0, 1))
+    letters = max(9.0, 0.0145 * width)  # pixels
+    margin, bar, line = round(max(6.0, 0.02 * width)), round(1.3 * letters), round(1.5 * letters)
+    with mpl.rc_context({"font.family": ["DejaVu Sans"], "font.size": letters * 72 / dpi, "text.parse_math": False}):
+        lines = [
+            (part, _MUTED if number else _INK)
+            for number, sentence in enumerate(caption(difference))
+            for part in _wrapped(sentence, width - 2 * margin, letters, dpi)
+        ]
+        height = 2 * margin + bar + 2 * line + len(lines) * line
+        figure = Figure(figsize=(width / dpi, height / dpi), dpi=dpi, facecolor=_PAPER)
+        axes: Any = figure.add_axes((margin / width, 1 - (margin + bar) / height, 1 - 2 * margin / width, bar / height))
+        axes.imshow(
+            np.linspace(0, 1, 256)[np.newaxis], aspect="auto", cmap=mpl.colormaps[_COLOURS], extent=(0, end, 0, 1)
+        )
         axes.set_yticks([])
-        axes.set_xticks(np.linspace(0, end, 6))
-        more = "+" if difference.largest > end else ""
-        axes.set_xticklabels([f"{v:g}{more if v == end else ''}" for v in np.linspace(0, end, 6)])
-        axes.tick_params(colors=_INK, length=3, width=0.6)
+        ticks = np.linspace(0, end, 6 if width >= _WIDE else 2)
+        axes.set_xticks(ticks)
+        more = "+" if difference.delta_e.max() > end else ""
+        labels = axes.set_xticklabels([f"{v:g}{more if v == end else ''}" for v in ticks])
+        # The outer ones stand within the bar, so that none is cut at the picture's edge.
+        labels[0].set_horizontalalignment("left")
+        labels[-1].set_horizontalalignment("right")
+        axes.tick_params(colors=_INK, length=3, width=0.6, pad=2)
         for spine in axes.spines.values():
             spine.set_color(_MUTED)
             spine.set_linewidth(0.6)
-        text = (
-            f"ΔE2000, spectra against RGB: mean {difference.mean:.2f}, 95 % below {difference.p95:.2f}",
-            f"of which noise {difference.noise:.2f}; about 1 is just visible side by side",
-        )
-        for k, line in enumerate(text):
-            figure.text(0.52, 0.66 - 0.34 * k, line, color=_INK if not k else _MUTED, va="center")
+        for number, (text, colour) in enumerate(lines):
+            below = margin + bar + (2 + number + 0.5) * line
+            figure.text(margin / width, 1 - below / height, text, color=colour, va="center")
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
-        legend = np.asarray(canvas.buffer_rgba())[..., :3]
-    return np.concatenate([field(difference.delta_e, end), legend[:, :width].astype(np.uint8)], axis=0)
+        return np.asarray(canvas.buffer_rgba())[:height, :width, :3].astype(np.uint8)
+
+
+def _wrapped(text: str, width: float, letters: float, dpi: int) -> list[str]:
+    """Break a text at its blanks into lines of at most `width` pixels in letters of this size, as they are drawn."""
+    from matplotlib.backends.backend_agg import RendererAgg
+    from matplotlib.font_manager import FontProperties
+
+    font, drawing = FontProperties(family="DejaVu Sans", size=letters * 72 / dpi), RendererAgg(16, 16, dpi)
+    lines = [""]
+    for word in text.split(" "):
+        longer = f"{lines[-1]} {word}".strip()
+        if lines[-1] and drawing.get_text_width_height_descent(longer, font, False)[0] > width:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines

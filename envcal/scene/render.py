@@ -28,17 +28,21 @@ _LANES = 1 << 22
 _FIREFLY = 4.0
 _LEAST_PASSES = 8
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-#: What the scalar variant, some hundred times slower, is asked for unless the size is given.
+#: What the scalar variant, some two hundred times slower, is asked for unless the size is given.
 SCALAR_SIZE, SCALAR_SPP = (192, 108), 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendered:
-    """A lighting's picture: `image` [height, width, 3] of linear sRGB, and the means of even and of odd passes."""
+    """A lighting's picture: `image` [height, width, 3] of linear sRGB, and the means of even and of odd passes.
+
+    `background` [height, width] is where nothing but the map is seen; None if that is not known.
+    """
 
     image: Image
     even: Image
     odd: Image
+    background: npt.NDArray[np.bool_] | None = None
 
 
 def mitsuba() -> ModuleType:
@@ -97,10 +101,12 @@ def render(
     for k in range(passes):
         layers[k] = np.asarray(mi.render(scene, spp=each, seed=k))
         progress(k + 1, passes)
+    depth = mi.load_dict({"type": "aov", "aovs": "depth:depth"})
+    background = np.asarray(mi.render(scene, integrator=depth, spp=16))[..., 0] <= 0
     del scene
     gc.collect()
     tamed = without_fireflies(layers) if tame else layers
-    return Rendered(tamed.mean(axis=0), tamed[::2].mean(axis=0), tamed[1::2].mean(axis=0))
+    return Rendered(tamed.mean(axis=0), tamed[::2].mean(axis=0), tamed[1::2].mean(axis=0), background)
 
 
 def _even_count(samples: int) -> int:

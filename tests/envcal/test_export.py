@@ -13,9 +13,10 @@ from envcal.errors import EnvcalError
 from envcal.export.basis import d65_of_mitsuba, export_basis, native_nodes, responses
 from envcal.export.loss import loss, sample
 from envcal.export.octahedral import resampled, side_of, sphere_of, square_of
-from envcal.export.opened import bands, conversion, open_uplift
+from envcal.export.opened import bands, conversion, open_uplift, undeclared
 from envcal.export.pbrt import export_pbrt
 from envcal.export.rgb import export_rgb
+from envcal.scene.make import make_scene
 from tests.envcal.small_uplift import EYES, SPACE, small_uplift
 from uplift.radiance import spectra_of
 from uplift.spectrum import observer, rgb_space
@@ -145,6 +146,32 @@ def test_colours_outside_of_the_space_are_kept_and_counted(tmp_path):
     assert "colours outside of sRGB" in outcome.warnings[0]
 
 
+@pytest.mark.parametrize(("space", "remedy"), [("sRGB", True), ("ACEScg", True), ("ACES2065-1", False)])
+def test_a_space_too_small_is_told_the_one_that_holds_all_colours_and_that_one_nothing(
+    tmp_path, monkeypatch, space, remedy
+):
+    source, _ = small_uplift(tmp_path)
+    # A map that leaves every space, as colours of noise may: green and blue far below nothing.
+    monkeypatch.setattr(
+        "envcal.export.opened.Band.rgb", lambda self, _opened: np.full((*self.scale.shape, 3), [1, -9, -9])
+    )
+    (text,) = export_rgb(source, tmp_path / "rgb", space=space).warnings
+    assert f"outside of {space}" in text and ("--space ACES2065-1" in text) is remedy and "such as ACEScg" not in text
+
+
+@pytest.mark.parametrize("work", [export_rgb, export_pbrt])
+def test_half_floats_are_mentioned_only_where_there_are_half_floats(made, tmp_path, work):
+    for half in (False, True):
+        work(made[0], tmp_path / str(half), half=half)
+        assert ("half float" in (tmp_path / str(half) / "README.md").read_text(encoding="utf-8")) is half
+
+
+def test_the_readme_of_the_rgb_map_says_where_it_looks_and_what_1_is(made, tmp_path):
+    export_rgb(made[0], tmp_path)
+    text = (tmp_path / "README.md").read_text(encoding="utf-8")
+    assert "straight ahead (−Z)" in text and "at the right hand (+X)" in text and "No unit such as cd/m²" in text
+
+
 # ---- pbrt ----
 
 
@@ -248,6 +275,16 @@ def test_the_folder_for_passes_is_complete(made, tmp_path):
         assert set(header.channels) == {"c0", "c1", "c2", "scale"} and header.size == (17, 16)
         assert all(np.loadtxt(tmp_path / f"{axis}_{light['name']}.spd").shape == (471, 2) for axis in "XYZ")
     compile((tmp_path / "passes.py").read_text(encoding="utf-8"), "passes.py", "exec")
+    assert "`passes.py` fills in `$basis`" in (tmp_path / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("types", "hinted"), [(("smooth", "smooth"), True), (("smooth", "led"), False), ((), False)])
+def test_lights_are_asked_for_only_if_the_kind_of_none_is_known(made, types, hinted):
+    about = open_uplift(made[0]).about
+    lamps = [about.clusters[0].model_copy(update={"type": kind}) for kind in (*types, "fallback")]
+    (hint,) = undeclared(about.model_copy(update={"clusters": lamps})) or ("",)
+    assert ("--lights lights.yaml" in hint) is hinted
+    assert undeclared(about.model_copy(update={"clusters": lamps, "method": "scaled"})) == []
 
 
 # ---- the command ----
@@ -278,3 +315,14 @@ def test_a_file_that_is_no_uplift_is_refused(work, tmp_path):
     exr.write(tmp_path / "map.exr", dict.fromkeys("RGB", np.ones((4, 8), np.float32)), attributes={})
     with pytest.raises(EnvcalError, match="is not an uplift file"):
         work(tmp_path / "map.exr", tmp_path / "out")
+
+
+@pytest.mark.parametrize("work", [export_rgb, export_pbrt, export_basis, make_scene])
+@pytest.mark.parametrize("below", ["", "folder"])
+def test_an_output_that_is_a_file_is_refused_before_anything_is_done(made, tmp_path, work, below):
+    (tmp_path / "out.exr").write_bytes(b"mine")
+    with pytest.raises(
+        EnvcalError, match=r"the output has to be a folder, and .*out\.exr is a file\. Give another name"
+    ):
+        work(made[0], tmp_path / "out.exr" / below)
+    assert (tmp_path / "out.exr").read_bytes() == b"mine"

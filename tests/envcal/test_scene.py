@@ -1,6 +1,7 @@
 """The scene around a map: what is written, what is compared, and that it can be done without Mitsuba."""
 
 import json
+from dataclasses import replace
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -57,7 +58,8 @@ def test_nothing_in_the_scene_touches_anything_else():
 def test_the_scene_is_written_with_relative_names_and_without_mitsuba(made, tmp_path):
     folder = made.parent / "scene"
     outcome = make_scene(made, folder, render=False)
-    assert outcome.figures == {"rendered": False}
+    assert outcome.figures == {"rendered": False} and outcome.warnings == []
+    assert f"finds {made.resolve()} by the name ../uplift.exr: move both together" in outcome.summary
     assert 'value="../uplift.exr"' in (folder / "uplift.xml").read_text(encoding="utf-8")
     assert 'value="map_rgb.exr"' in (folder / "scaled.xml").read_text(encoding="utf-8")
     for name in ("scene.xml", "uplift.xml", "scaled.xml"):
@@ -157,6 +159,40 @@ def test_the_map_of_differences_has_the_pictures_width_and_a_legend_below():
     assert shown.shape[1] == 160 and shown.shape[0] > 90
     assert shown[:90, :80].max() < 10 < shown[:90, 80:].max()
     assert shown[90:].std() > 5
+
+
+@pytest.mark.parametrize("width", [64, 128, 200, 512, 960])
+def test_the_caption_of_no_picture_is_cut(width):
+    """Nothing is drawn in the outermost columns beside the legend, nor in its last rows."""
+    difference = pictures.Difference(np.full((30, width), 4.0), 12.34, 23.45, 99.0, 0.22, 0.123, 11.11)
+    legend = pictures.difference_picture(difference)[30:].astype(int)
+    ground = legend[0, 0]
+    assert (legend[:, :3] == ground).all() and (legend[:, -3:] == ground).all() and (legend[-3:] == ground).all()
+    assert (legend != ground).any(axis=(1, 2)).sum() > 30
+
+
+def test_background_that_srgb_cannot_show_is_counted_apart_and_things_are_not():
+    image = np.full((40, 60, 3), 0.4)
+    image[:, :20] = [-0.1, 0.5, 0.2]
+    image[:5] = [-0.1, 0.5, 0.2]
+    background = np.zeros((40, 60), bool)
+    background[:, :30] = True
+    first, second = rendered(image, 0.0, 1), rendered(np.maximum(image, 0), 0.0, 2)
+    found = pictures.compare(replace(first, background=background), second, gain=1.0)
+    # The columns of the background and, mixed with them by the mean over 3×3, one more and two rows more.
+    assert pictures.outside_srgb(replace(first, background=background))[:, :20].all()
+    assert not pictures.outside_srgb(replace(first, background=background))[10:, 25:].any()
+    assert not pictures.outside_srgb(replace(first, background=background))[:, 30:].any()
+    assert found.outside_mean > 2 and 20 / 60 <= found.outside <= 24 / 60 + 0.05
+    assert 0 < found.mean < 0.5 * pictures.compare(first, second, gain=1.0).mean
+    assert found.largest > 2  # the things in the upper rows have such a colour, too, and are counted
+
+
+def test_a_picture_of_such_background_alone_is_still_measured():
+    image = np.full((8, 8, 3), [-0.1, 0.5, 0.2])
+    first = replace(rendered(image, 0.0, 1), background=np.ones((8, 8), bool))
+    found = pictures.compare(first, rendered(np.maximum(image, 0), 0.0, 2), gain=1.0)
+    assert found.outside == 1 and found.mean == found.outside_mean > 2
 
 
 # ---- the command ----
