@@ -43,7 +43,8 @@ class UnknownLensError(EnvcalError):
 
 @dataclass(frozen=True, slots=True)
 class KnownLens:
-    """A lens of the database as it was set: `corner` is the share of light in the corners, `warnings` doubts about it."""
+    """A lens of the database as it was set: `corner` is the share of light in the corners, `database` which one it is from,
+    `warnings` doubts about it."""
 
     camera: str
     lens: str
@@ -52,6 +53,7 @@ class KnownLens:
     distance_m: float | None
     vignetting: Vignetting
     corner: float
+    database: str
     warnings: tuple[str, ...] = ()
 
 
@@ -124,6 +126,7 @@ def known_lens(info: FrameInfo, asked: LensByName | None = None, *, database: Pa
         distance_m=None if distance is None or math.isinf(distance) else distance,
         vignetting=(row, row, row),
         corner=corner,
+        database=_version() if database is None else database.name,
         warnings=tuple(warnings),
     )
 
@@ -155,6 +158,12 @@ def _entries(database: Path | None) -> Any:
     if not entries.lenses:
         raise EnvcalError(f"{database}: holds no lens. Give a file of Lensfun's XML, or a folder of such files.")
     return entries
+
+
+def _version() -> str:
+    import lensfunpy
+
+    return f"lensfunpy {lensfunpy.__version__}"
 
 
 def _camera(entries: Any, info: FrameInfo, asked: LensByName | None) -> Any:

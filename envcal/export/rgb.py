@@ -94,7 +94,7 @@ def export_rgb(
 
 def _brightness(told: object) -> str:
     if told is not None:
-        return f"(1, 1, 1) is 1 cd/m²: {told}."
+        return f"Values are {told}: (1, 1, 1) is 1 cd/m²."
     return """Relative: (1, 1, 1) is the white of luminance 1, and stays (1, 1, 1) in a renderer
 that takes maps as they are. In a map from `envcal run` that is the white of the D65 lamp (unless `balance: {luminance: keep}`).
 No unit such as cd/m² stands behind it; set the exposure, or the strength of the light, in the renderer."""

@@ -15,6 +15,9 @@ from envcal import exr, profile, provenance
 from envcal.cli import main
 from envcal.config import BalanceSettings, CorrectSettings, PanoramaSettings, PhotometrySettings, SpectraSettings
 from envcal.errors import EnvcalError
+from envcal.export.basis import export_basis
+from envcal.export.pbrt import export_pbrt
+from envcal.export.rgb import export_rgb
 from envcal.reporter import Reporter
 from envcal.runner import Outcome
 from envcal.stages import _each
@@ -297,6 +300,24 @@ def test_the_unit_reaches_the_spectra_as_watts_and_the_colours_do_not_depend_on_
     np.testing.assert_allclose(bands["absolute"] * 683, bands["relative"] * 300, rtol=1e-3)
     luminance = 683 * 5 * bands["absolute"] @ observer().cmfs[:, 1]
     np.testing.assert_allclose(luminance, image * 300 @ weights, rtol=SUM_OF_BANDS)
+
+
+@pytest.mark.parametrize("unit", [None, Unit(factor=300.0, source="a test")])
+def test_what_other_renderers_get_says_its_unit(tmp_path: Path, unit: Unit | None) -> None:
+    shot = write_shot(tmp_path / "shot.exr", np.full((8, 16, 3), 0.5), unit)
+    panorama([shot], tmp_path / "map.exr", PanoramaSettings())
+    uplifted = tmp_path / "uplift.exr"
+    arguments = ["uplift", str(tmp_path / "map.exr"), "-o", str(uplifted)]
+    assert CliRunner().invoke(main, arguments, catch_exceptions=False).exit_code == 0
+    for export in (export_rgb, export_pbrt, export_basis):
+        folder = tmp_path / export.__name__
+        export(uplifted, folder)
+        images = [path for path in folder.glob("*.exr") if path.name != "blank.exr"]
+        assert images
+        for path in images:
+            assert unit_of(path, exr.header(path).attributes) == unit
+        text = (folder / "README.md").read_text(encoding="utf-8")
+        assert ("cd/m², from a test" in text) == (unit is not None)
 
 
 def test_lamps_in_candelas_fit_into_half_floats_and_dim_rooms_are_told(tmp_path: Path) -> None:

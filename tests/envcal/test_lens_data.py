@@ -83,6 +83,7 @@ def test_a_lens_is_known_by_its_name_however_it_is_written(database: Path) -> No
         assert found.vignetting == (found.vignetting[0],) * 3
         assert found.corner == pytest.approx(0.65, rel=SINGLE)
         assert found.warnings == ()
+        assert found.database == "own.xml"
     second = known_lens(frame(lens="24-50mm F2.8 II"), database=database)
     assert second.vignetting[0][0] == pytest.approx(-0.6, rel=SINGLE)
 
@@ -171,6 +172,7 @@ def test_the_database_that_comes_with_the_package_knows_a_common_lens() -> None:
     found = known_lens(frame(camera="Canon EOS 5D Mark II", lens="EF24-70mm f/2.8L USM"))
     assert found.lens == "Canon EF 24-70mm f/2.8L USM"
     assert 0.1 < found.corner < 0.5
+    assert found.database == f"lensfunpy {lensfunpy.__version__}"
 
 
 def test_a_file_that_is_no_database_is_refused(tmp_path: Path) -> None:
