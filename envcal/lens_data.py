@@ -161,7 +161,7 @@ def _entries(database: Path | None) -> Any:
 
 
 def _version() -> str:
-    import lensfunpy
+    import lensfunpy  # type: ignore[import-untyped, unused-ignore]
 
     return f"lensfunpy {lensfunpy.__version__}"
 
