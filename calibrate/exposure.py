@@ -70,6 +70,8 @@ class FrameInfo:
         What the photosites behind the frame's masked border read; None where there are none.
     transmission
         Share of the light that a filter before the lens lets through, in red, green and blue; told by a person.
+    focal_length_mm, focus_distance_m
+        Of the lens as it was set; None where the file has none. Infinity is `math.inf`.
     """
 
     name: str
@@ -86,6 +88,8 @@ class FrameInfo:
     bits: int | None
     masked: Masked | None = None
     transmission: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    focal_length_mm: float | None = None
+    focus_distance_m: float | None = None
 
     @property
     def period(self) -> tuple[int, int]:

@@ -51,6 +51,15 @@ def remove_vignetting(image: Plane, vignetting: Vignetting) -> Plane:
     return out
 
 
+def on_sensor(row: Row, scale: float) -> Row:
+    """Return the polynomial of one channel for another sensor: its corners lie at r = `scale` of that it was measured on.
+
+    The ratio of the crop factors, that of the measurement over this one's.
+    """
+    k1, k2, k3 = row
+    return k1 * scale**2, k2 * scale**4, k3 * scale**6
+
+
 def measure_vignetting(mosaic: npt.NDArray[np.uint16], info: FrameInfo) -> Vignetting:
     """Return the fall-off that a flat field shows: a RAW frame of an evenly bright surface, hardly clipped nowhere dark.
 

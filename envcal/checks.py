@@ -15,7 +15,7 @@ def check_frames(loaded: Loaded) -> list[str]:
     from calibrate import CalibrateError
     from calibrate.exposure import check_bracket
     from envcal.raw import read_info
-    from envcal.steps.merge import changes_of, refuse_unknown_names
+    from envcal.steps.merge import changes_of, fall_off, refuse_unknown_names, rooted
 
     warnings: list[str] = []
     mistakes = _unwritable(loaded.output)
@@ -44,6 +44,19 @@ def check_frames(loaded: Loaded) -> list[str]:
             )
         except CalibrateError as error:
             mistakes.append(str(error))
+        if infos and settings.lens != "off":
+            try:
+                warnings += [f"{shot}: {text}" for text in fall_off(rooted(settings, loaded.path.parent), infos)[2]]
+            except EnvcalError as error:
+                mistakes.append(str(error))
+        if shot == "reference" and loaded.settings.photometry.exposure:
+            mistakes += [
+                f"photometry.exposure: {info.name} tells no {word}; ISO and aperture are needed. Write them into the EXIF data, or measure "
+                "a luminance or an illuminance."
+                for info in infos[:1]
+                for word, value in (("ISO", info.iso), ("aperture", info.f_number))
+                if not value
+            ]
     if mistakes:
         raise EnvcalError("\n".join(mistakes))
     return warnings

@@ -11,25 +11,28 @@ import numpy.typing as npt
 from envcal import exr, provenance
 from envcal.errors import EnvcalError
 from envcal.hdr import read_hdr
+from envcal.unit import Unit, unit_of
 
 
 @dataclass(frozen=True, slots=True)
 class Map:
-    """A lat-long map: `image` [height, 2·height, 3] linear RGB in `space`, as it was named by `said_by`."""
+    """A lat-long map: `image` [height, 2·height, 3] linear RGB in `space`, as it was named by `said_by`; `unit` None: relative."""
 
     path: Path
     image: npt.NDArray[np.float32]
     space: str
     said_by: str
+    unit: Unit | None = None
 
 
 def read_map(path: Path, *, space: str | None = None) -> Map:
     """Read a map; without chromaticities in its header it is linear sRGB unless `space` says otherwise."""
+    unit = None
     if path.suffix.lower() == ".hdr":
         image, chromaticities = read_hdr(path)
     elif path.suffix.lower() == ".exr":
         header, image = exr.read_rgb(path)
-        chromaticities = header.chromaticities
+        chromaticities, unit = header.chromaticities, unit_of(path, header.attributes)
         if header.attributes.get("envcalSpace") == provenance.CAMERA_RGB and space is None:
             raise EnvcalError(
                 f"{path}: is in camera RGB, which has no meaning yet. Run `envcal correct` and `envcal balance` on it, "
@@ -43,4 +46,4 @@ def read_map(path: Path, *, space: str | None = None) -> Map:
             f"{path}: {width}×{height} pixels; a lat-long map is exactly twice as wide as high. Crop or remap it."
         )
     said_by = "--space" if space else "its chromaticities" if chromaticities else "default"
-    return Map(path, image, provenance.space_of(path, chromaticities, asked=space), said_by)
+    return Map(path, image, provenance.space_of(path, chromaticities, asked=space), said_by, unit)

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from envcal import __version__, atomic
 from envcal.errors import EnvcalError
+from envcal.unit import Unit
 
 Row = tuple[float, float, float]
 Matrix = tuple[Row, Row, Row]
@@ -32,6 +33,7 @@ class Camera(_Part):
     lens: str
     iso: float | None
     f_number: float | None
+    focal_length_mm: float | None = None
 
 
 class Patch(_Part):
@@ -146,6 +148,8 @@ class Profile(_Part):
     """Balanced working RGB from working RGB; (1, 1, 1) is the lamp."""
     light: ChartLight | None = None
     """The light on the chart; null if it was not measured."""
+    unit: Unit | None = None
+    """cd/m² of the balanced image's (1, 1, 1), by which `balance` multiplies; null: it stays relative."""
     warnings: list[str] = Field(default_factory=list)
 
     def full_matrix(self) -> npt.NDArray[np.float64]:
@@ -200,18 +204,52 @@ def parse(text: str, *, place: str) -> Profile:
 
 def mismatches(profile: Profile, camera: Camera) -> list[str]:
     """Return a warning for each way in which a shot's camera is not the profile's."""
+    theirs, sure = profile.camera, exposure_gain(profile, camera) is not None
+    iso = "radiance was scaled by their nominal ratio, good to some per cent" if sure else _UNSCALED
+    aperture = "radiance was scaled by the square of their nominal ratio, good to 15 %" if sure else _UNSCALED
+    zoomed = "the fall-off changes, and with some zooms the light"
     effects = (
-        ("camera", profile.camera.model, camera.model, "its colours are wrong"),
-        ("lens", profile.camera.lens, camera.lens, "its colours may be off"),
-        ("ISO", profile.camera.iso, camera.iso, "its radiance is off by their ratio"),
-        ("f-number", profile.camera.f_number, camera.f_number, "its radiance is off by their ratio squared"),
+        ("camera", theirs.model, camera.model, "its colours are wrong"),
+        ("lens", theirs.lens, camera.lens, "its colours, its fall-off and the light it lets through may be others"),
+        ("ISO", theirs.iso, camera.iso, iso),
+        ("f-number", theirs.f_number, camera.f_number, f"{aperture}; the fall-off changes too"),
+        # Profiles of earlier versions do not tell theirs.
+        ("focal length", theirs.focal_length_mm or camera.focal_length_mm, camera.focal_length_mm, zoomed),
     )
     return [
-        f"the profile was made with {word} {theirs or 'unknown'}, this shot with {ours or 'unknown'}: {effect}. "
+        f"the profile was made with {word} {_said(expected)}, this shot with {_said(value)}: {effect}. "
         f"Photograph a reference with the same {word}."
-        for word, theirs, ours, effect in effects
-        if theirs != ours
+        for word, expected, value, effect in effects
+        if not _alike(expected, value)
     ]
+
+
+#: What is said where one of the shots does not tell: then nothing can be scaled.
+_UNSCALED = "radiance is off by their unknown ratio"
+#: Lenses report their focal length to this share.
+_SAME_LENGTH = 0.02
+
+
+def exposure_gain(profile: Profile, camera: Camera) -> float | None:
+    """Return by what a shot's radiance is multiplied to be in the profile's unit; None where it cannot be known."""
+    from calibrate.photometry import exposure_gain as gain
+
+    return gain(
+        iso=camera.iso,
+        f_number=camera.f_number,
+        reference_iso=profile.camera.iso,
+        reference_f_number=profile.camera.f_number,
+    )
+
+
+def _alike(expected: str | float | None, value: str | float | None) -> bool:
+    if isinstance(expected, float) and isinstance(value, float):
+        return abs(value - expected) <= _SAME_LENGTH * expected
+    return expected == value
+
+
+def _said(value: str | float | None) -> str:
+    return f"{value:g}" if isinstance(value, float) else value or "unknown"
 
 
 def matrix_rows(matrix: npt.NDArray[Any]) -> Matrix:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from envcal import __version__
+from envcal import unit as units
 from envcal.atomic import digest
 from envcal.errors import EnvcalError
 
@@ -15,16 +16,21 @@ CAMERA_RGB = "camera RGB"
 
 
 def attributes(
-    stage: str, *, settings: Mapping[str, Any], inputs: Sequence[Path], digests: Mapping[Path, str] | None = None
+    stage: str,
+    *,
+    settings: Mapping[str, Any],
+    inputs: Sequence[Path],
+    digests: Mapping[Path, str] | None = None,
+    unit: units.Unit | None = None,
 ) -> dict[str, Any]:
-    """Return the header attributes of a file that `stage` makes of `inputs` under `settings`."""
+    """Return the header attributes of a file that `stage` makes of `inputs` under `settings`; `unit` None is relative."""
     known = digests or {}
     return {
         "envcalStage": stage,
         "envcalVersion": __version__,
         "envcalSettings": dict(settings),
         "envcalInputs": {path.name: known.get(path) or digest(path) for path in inputs},
-        "unit": "relative",
+        **units.attributes(unit),
     }
 
 

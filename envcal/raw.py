@@ -27,6 +27,7 @@ from envcal.errors import EnvcalError
 Counts = npt.NDArray[np.uint16]
 
 _LARGEST_SIDE = 65_535
+_INFINITE = 2**32 - 1  # EXIF SubjectDistance
 _JPEG_XL = 52_546  # TIFF Compression, DNG 1.7
 _FLOAT = 3  # TIFF SampleFormat
 _RAW_PHOTOMETRIC = (32_803, 34_892)  # DNG: colour filter array, linear RAW
@@ -264,7 +265,17 @@ def _described(path: Path, raw: Any, exif: Mapping[str, Any]) -> FrameInfo:
         white_dn=whites,
         bits=math.ceil(math.log2(raw.white_level + 1)) if raw.white_level > 0 else None,
         masked=None if cfa == LINEAR else _masked(raw, period, blacks, whites),
+        focal_length_mm=float(_positive(_numbers(exif, "FocalLength")) or 0) or float(other.focal_length) or None,
+        focus_distance_m=_distance(exif),
     )
+
+
+def _distance(exif: Mapping[str, Any]) -> float | None:
+    """Return the focus distance in metres; EXIF writes infinity as a numerator of 2³² − 1, and unknown as 0."""
+    found = _positive(_numbers(exif, "SubjectDistance"))
+    if found is None:
+        return None
+    return math.inf if found.numerator >= _INFINITE else float(found)
 
 
 def _pattern(path: Path, raw: Any) -> tuple[str, tuple[int, ...]]:

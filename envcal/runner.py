@@ -20,6 +20,7 @@ from typing import Any
 from envcal import __version__, atomic
 from envcal.config import Loaded
 from envcal.errors import EnvcalError
+from envcal.lens_data import database_files
 from envcal.reporter import Reporter
 from envcal.spd import in_library
 
@@ -60,7 +61,7 @@ class Stage:
     """A row of the table: what the stage reads, writes and depends on.
 
     `inputs` and `outputs` are names below the output folder; `{shot}` stands for every shot, `{map}` for the shots
-    of the environment, `{frames}` for all RAW frames, `{darkroom}` for the dark frame and the flat field, `{chart}` and `{lamp}`
+    of the environment, `{frames}` for all RAW frames, `{darkroom}` for the dark frame, the flat field and the lens database, `{chart}` and `{lamp}`
     for the files that `correct` and `balance` name, and `{spectra}` for measured spectra and further profiles that the
     settings name.
     `settings` names the parts of the settings on which the result depends.
@@ -82,6 +83,8 @@ def expand(names: Sequence[str], run: Run) -> list[Path]:
             paths += [frame for frames in loaded.shots.values() for frame in frames]
         elif name == "{darkroom}":
             paths += [loaded.path.parent / path for path in loaded.settings.merge.files]
+            database = loaded.settings.merge.lens_database
+            paths += [] if database is None else database_files(loaded.path.parent / database)
         elif name == "{chart}":
             patches = loaded.settings.correct.patches
             paths += [] if patches is None else [loaded.path.parent / patches]

@@ -17,7 +17,10 @@ def channel(wavelength_nm: float) -> str:
     return f"S0.{wavelength_nm:.6f}nm".replace(".", ",").replace("S0,", "S0.")
 
 
-def channels(wavelengths_nm: Sequence[float], *, half: bool) -> dict[str, str]:
-    """Return the channels of a spectral image with their types: the bands and the preview."""
-    kind = "f2" if half else "f4"
-    return dict.fromkeys([*(channel(w) for w in wavelengths_nm), "R", "G", "B"], kind)
+def channels(wavelengths_nm: Sequence[float], *, half: bool, half_preview: bool = True) -> dict[str, str]:
+    """Return the channels of a spectral image with their types: the bands and the preview.
+
+    In cd/m² lamps are brighter than a half float can hold, hundreds of times more so than their bands in W.
+    """
+    kind, preview = "f2" if half else "f4", "f2" if half and half_preview else "f4"
+    return dict.fromkeys((channel(w) for w in wavelengths_nm), kind) | dict.fromkeys("RGB", preview)

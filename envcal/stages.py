@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 from envcal.runner import Outcome, Run, Stage, map_shots
 
@@ -44,7 +44,9 @@ def _balance(run: Run) -> Outcome:
     from envcal.steps.balance import balance, calibrate_on_lamp
 
     settings = run.loaded.settings.balance
-    profile = calibrate_on_lamp(run.path("correct/reference.exr"), settings, folder=run.loaded.folder)
+    profile = calibrate_on_lamp(
+        run.path("correct/reference.exr"), settings, run.loaded.settings.photometry, folder=run.loaded.folder
+    )
     profile.write(run.path("balance/profile.json"))
     outcome = _each(
         run,
@@ -58,7 +60,8 @@ def _panorama(run: Run) -> Outcome:
     from envcal.steps.panorama import panorama
 
     shots = [run.path(f"balance/{shot}.exr") for shot in map_shots(run.loaded)]
-    return panorama(shots, run.path("panorama/environment.exr"), run.loaded.settings.panorama)
+    settings = run.loaded.settings
+    return panorama(shots, run.path("panorama/environment.exr"), settings.panorama, settings.photometry)
 
 
 def _cluster(run: Run) -> Outcome:
@@ -135,7 +138,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="balance",
         light="lamp of known spectrum found in the reference shot → von Kries, applied to every shot",
-        settings=("balance",),
+        settings=("balance", "photometry"),
         inputs=("correct/{shot}.exr", "{lamp}"),
         outputs=("balance/{shot}.exr", "balance/profile.json"),
         work=_balance,
@@ -143,7 +146,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="panorama",
         light="shots → one lat-long map",
-        settings=("panorama",),
+        settings=("panorama", "photometry"),
         inputs=("balance/{map}.exr",),
         outputs=("panorama/environment.exr",),
         work=_panorama,
@@ -195,13 +198,28 @@ STAGES: tuple[Stage, ...] = (
 
 
 def _each(run: Run, shots: Iterable[str], work: Callable[..., Outcome]) -> Outcome:
-    """Do the work for every shot; figures by shot, warnings together, the reference's summary."""
+    """Do the work for every shot; figures by shot, warnings together, the reference's summary.
+
+    What is said alike of several shots, after the name of each one's file, is said once, with their number.
+    """
     outcomes: dict[str, Outcome] = {}
     for shot in shots:
         with run.reporter.progress(shot) as progress:
             outcomes[shot] = work(shot, progress)
     first = next(iter(outcomes.values()))
     more = f" (and {len(outcomes) - 1} more shot{'s' if len(outcomes) > 2 else ''})" if len(outcomes) > 1 else ""
-    warnings = [text for outcome in outcomes.values() for text in outcome.warnings]
+    said: dict[str, list[str]] = {}
+    for shot, outcome in outcomes.items():
+        for text in outcome.warnings:
+            said.setdefault(text.removeprefix(f"{shot}.exr: "), []).append(shot)
+    warnings = [f"{_named(alike, len(outcomes))}{text}" for text, alike in said.items()]
     figures = {"shots": {shot: dict(outcome.figures) for shot, outcome in outcomes.items()}}
     return Outcome(first.summary + more, figures, warnings)
+
+
+def _named(shots: Sequence[str], count: int) -> str:
+    """What stands before a warning: the shots that it is about, three of them by name; of a capture of one shot nothing."""
+    if count == 1:
+        return ""
+    names = ", ".join(shots[:3]) + (", …" if len(shots) > 3 else "")
+    return f"{names}: " if len(shots) == 1 else f"{len(shots)} of {count} shots ({names}): "

@@ -89,7 +89,8 @@ def encode_dng(
     """Return the bytes of a DNG of `counts`, shape (height, width), uint16.
 
     `neutral` (3,) is camera RGB of the light's white. `settings` replaces or, with None, drops EXIF values
-    by name ("exposure_s", "iso", "f_number", "model"): for captures with a mistake in them. Raises
+    by name ("exposure_s", "iso", "f_number", "model", "lens"), or adds "focal_length_mm" and "distance_m": for captures
+    with a mistake in them, or with a lens. Raises
     ValueError if a compressed height is odd.
     """
     height, width = counts.shape
@@ -97,7 +98,7 @@ def encode_dng(
         raise ValueError(f"height {height}: a compressed mosaic needs an even height; write it uncompressed")
     given: dict[str, object] = {
         "exposure_s": exposure_s, "iso": camera.iso, "f_number": camera.f_number, "model": camera.model,
-        **(settings or {}),
+        "lens": "Ideal equirectangular", "focal_length_mm": None, "distance_m": None, **(settings or {}),
     }  # fmt: skip
     pixels = lossless_jpeg(counts, camera.bits) if compressed else counts.astype("<u2").tobytes()
     exif = _exif_entries(given)
@@ -153,9 +154,10 @@ def _exif_entries(given: dict[str, object]) -> list[_Entry]:
     entries = [
         _Entry(36864, _BYTE, list(b"0230")),
         _text(36867, "2026:01:01 12:00:00"),
-        _text(42036, "Ideal equirectangular"),  # LensModel
+        _text(42036, str(given["lens"])),  # LensModel
     ]
-    for tag, name in ((33434, "exposure_s"), (33437, "f_number")):
+    # ExposureTime, FNumber, SubjectDistance, FocalLength
+    for tag, name in ((33434, "exposure_s"), (33437, "f_number"), (37382, "distance_m"), (37386, "focal_length_mm")):
         value = given[name]
         if value is not None:
             ratio = Fraction(str(value))

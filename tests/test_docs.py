@@ -16,6 +16,7 @@ from envcal import exr, lights_file, profile, provenance, spectral_exr, uplift_f
 from envcal.cli import main
 from envcal.config import Pipeline
 from envcal.stages import STAGES
+from envcal.unit import Unit
 from uplift.pixels import Status
 from uplift.radiance import spectra_of
 from uplift.spectrum import observer, rgb_space
@@ -169,7 +170,7 @@ def test_every_page_of_a_stage_is_in_the_index():
 @pytest.mark.parametrize(
     ("page", "models"),
     [
-        ("profile.md", (profile.Profile, profile.Camera, profile.Chart, profile.Patch, profile.Lamp)),
+        ("profile.md", (profile.Profile, profile.Camera, profile.Chart, profile.Patch, profile.Lamp, Unit)),
         (
             "uplift-file.md",
             (uplift_file.About, uplift_file.LatticeAbout, uplift_file.CubeRecord, uplift_file.Emission),

@@ -149,6 +149,54 @@ def test_every_file_says_what_it_holds(output):
         assert (header.chromaticities is None) == (path.parent.name == "merge")
 
 
+@pytest.mark.parametrize(
+    ("way", "within"),
+    [
+        # The sample's camera keeps the standard for equal energy, not for daylight: 3 % of green.
+        ("exposure", 0.05),
+        ("patch", 0.03),
+        # The light in the middle of the chart, from its patches' published luminance factors, which are for D65.
+        ("chart", 0.04),
+        # The map's own errors, the dim and coloured parts included, are summed up in it.
+        ("map", 0.05),
+    ],
+)
+def test_every_way_to_absolute_units_gives_the_rooms_own_candelas(output, truth, tmp_path, way, within):
+    from envcal.config import BalanceSettings, PanoramaSettings, PhotometrySettings
+    from envcal.steps.balance import balance, calibrate_on_lamp
+    from envcal.steps.panorama import panorama
+    from uplift.spectrum import rgb_space
+
+    true = truth.xyz[..., 1]
+    height, width = true.shape
+    theta = np.pi * (np.arange(height // 2) + 0.5) / height
+    over = np.cos(theta) * np.sin(theta) * 2 * np.pi**2 / (width * height)
+    white = truth.patch_xyz[18, 1]
+    weights = rgb_space("ITU-R BT.2020").luminance_weights
+    patches = profile.read(output / "correct" / "profile.json").chart.patches
+    published = np.array([patch.target_rgb for patch in patches]) @ weights
+    photometry = PhotometrySettings.model_validate(
+        {
+            "exposure": {"exposure": True},
+            "patch": {"patch": {"patch": "white", "luminance": white}},
+            "chart": {"chart_illuminance": np.pi * float(np.exp(np.mean(np.log(truth.patch_xyz[:, 1] / published))))},
+            "map": {"horizontal_illuminance": float((true[: height // 2] * over[:, np.newaxis]).sum())},
+        }[way]
+    )
+    corrected, balanced = output / "correct" / "reference.exr", tmp_path / "balanced.exr"
+    settings = BalanceSettings(camera="Nikon 5100 (NPL)")
+    made = calibrate_on_lamp(corrected, settings, photometry)
+    assert not any("photometry" in text for text in made.warnings)
+    balance(corrected, balanced, settings, made)
+    done = panorama([balanced], tmp_path / "map.exr", PanoramaSettings(), photometry if way == "map" else None)
+    assert not done.warnings
+    header, image = exr.read_rgb(tmp_path / "map.exr")
+    assert header.attributes["unit"] == "cd.m^-2"
+    luminance = image @ weights
+    lit = true > np.median(true)
+    assert np.median(luminance[lit] / true[lit]) == pytest.approx(1, abs=within)
+
+
 def test_a_second_run_does_no_stage_again(output):
     before = {path: path.stat().st_mtime_ns for path in output.rglob("*.*") if path.name not in ("run.json", ".lock")}
     loaded = config.load(ROOT / "pipeline.yaml", overrides=[f"output={output}"])

@@ -42,6 +42,15 @@ def set_option(example: str) -> Callable[[Command], Command]:
     )
 
 
+def photometry_option(example: str) -> Callable[[Command], Command]:
+    return click.option(
+        "--photometry",
+        multiple=True,
+        metavar="KEY=VALUE",
+        help=f"Absolute units, as under `photometry` in a pipeline.yaml, such as {example} (default: relative).",
+    )
+
+
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON on stdout.")
 profile_option = click.option("--profile", type=FILE, help="Apply this profile instead of calibrating on this shot.")
 space_option = click.option(

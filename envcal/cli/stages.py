@@ -19,6 +19,7 @@ from envcal.cli.options import (
     library_option,
     lights_option,
     output_option,
+    photometry_option,
     profile_option,
     set_option,
     space_option,
@@ -112,6 +113,7 @@ def _corners(text: str) -> Any:
     metavar="NAME|FILE",
     help="The camera's spectral sensitivities (CSV, or JSON as of rawtoaces), to measure the chart's light with.",
 )
+@photometry_option("patch='{patch: white, luminance: 215}'")
 @set_option("spectrum=module.csv")
 @json_option
 def balance(
@@ -120,6 +122,7 @@ def balance(
     profile: Path | None,
     lamp: str | None,
     camera: str | None,
+    photometry: Sequence[str],
     overrides: Sequence[str],
     as_json: bool,
 ) -> None:
@@ -128,15 +131,18 @@ def balance(
     The profile completed here is written beside the output, as OUT.profile.json.
     """
     from envcal import profile as profiles
-    from envcal.config import BalanceSettings, stage_settings
+    from envcal.config import BalanceSettings, PhotometrySettings, stage_settings
     from envcal.steps.balance import balance as work
     from envcal.steps.balance import calibrate_on_lamp
 
-    if profile is not None and (lamp is not None or camera is not None or overrides):
+    if profile is not None and (lamp is not None or camera is not None or photometry or overrides):
         raise click.UsageError(
-            "--lamp, --camera and --set belong to the search for the lamp; a profile brings its own gains and its "
-            "chart's light."
+            "--lamp, --camera, --photometry and --set belong to the search for the lamp; a profile brings its own gains, "
+            "its chart's light and its unit."
         )
+    absolute = stage_settings(PhotometrySettings, "photometry", photometry)
+    if absolute.of_map is not None:
+        raise click.UsageError("an illuminance at the place of the map belongs to `envcal panorama`.")
     settings = stage_settings(
         BalanceSettings,
         "balance",
@@ -145,7 +151,7 @@ def balance(
         camera=camera,
     )
     if profile is None:
-        found = calibrate_on_lamp(corrected, settings)
+        found = calibrate_on_lamp(corrected, settings, absolute)
         found.write(out.with_suffix(".profile.json"))
     else:
         found = profiles.read(profile)
@@ -170,13 +176,17 @@ def _with_warnings(outcome: Outcome, more: Sequence[str]) -> Outcome:
 @main.command()
 @click.argument("shots", nargs=-1, required=True, type=FILE)
 @output_option("lat-long map (.exr)")
+@photometry_option("horizontal_illuminance=540")
 @json_option
-def panorama(shots: Sequence[Path], out: Path, as_json: bool) -> None:
+def panorama(shots: Sequence[Path], out: Path, photometry: Sequence[str], as_json: bool) -> None:
     """Turn SHOTS into one lat-long map; for the time being a lat-long shot passes through."""
-    from envcal.config import PanoramaSettings
+    from envcal.config import PanoramaSettings, PhotometrySettings, stage_settings
     from envcal.steps.panorama import panorama as work
 
-    finish(work(shots, out, PanoramaSettings()), as_json=as_json, out=out)
+    absolute = stage_settings(PhotometrySettings, "photometry", photometry)
+    if photometry and absolute.of_map is None:
+        raise click.UsageError("what is known of the exposure or the chart belongs to `envcal balance`.")
+    finish(work(shots, out, PanoramaSettings(), absolute), as_json=as_json, out=out)
 
 
 def _declared(path: Path | None, library: Path | None) -> Sequence[DeclaredLight]:

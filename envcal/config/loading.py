@@ -171,6 +171,7 @@ def _absent_files(path: Path, tree: Any, settings: Pipeline) -> dict[tuple[str, 
     named = (
         ("merge", "dark_frame", settings.merge.dark_frame),
         ("merge", "flat_field", settings.merge.flat_field),
+        ("merge", "lens_database", settings.merge.lens_database),
         ("correct", "patches", settings.correct.patches),
         ("balance", "spectrum", settings.balance.spectrum),
         ("cluster", "library", settings.cluster.library),
@@ -180,7 +181,8 @@ def _absent_files(path: Path, tree: Any, settings: Pipeline) -> dict[tuple[str, 
         if value is None:
             continue
         what = "folder" if key == "library" else "file"
-        if not ((folder / value).is_dir() if key == "library" else (folder / value).is_file()):
+        either = key == "lens_database" and (folder / value).is_dir()
+        if not ((folder / value).is_dir() if key == "library" else either or (folder / value).is_file()):
             out[stage, key] = (
                 f"{path}:{line_of(tree, (stage, key))}: {stage}.{key}: there is no {what} {folder / value}. Correct the path."
             )

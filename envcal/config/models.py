@@ -18,6 +18,8 @@ Level = Annotated[float, Field(gt=0, le=65_535)]
 Seconds = Annotated[float, Field(gt=0, le=100_000)]
 Transmission = Annotated[float, Field(gt=0, le=1)]
 Radiance = Annotated[float, Field(ge=0, le=1e12)]
+Luminance = Annotated[float, Field(gt=0, le=1e10)]
+Illuminance = Annotated[float, Field(gt=0, le=1e7)]
 Power = Annotated[float, Field(ge=-20, le=20)]
 Powers = tuple[Power, Power, Power]
 
@@ -36,6 +38,21 @@ class CaptureSettings(Settings):
     environment: Frames | dict[str, Frames] | None = None
     """The bracket to turn into a map: a pattern or a list, or name → pattern for several shots. Left out: the
     reference itself is the map."""
+
+
+class LensByName(Settings):
+    """A lens of the Lensfun database, and what the files do not tell of it."""
+
+    name: str
+    """As the database has it."""
+    camera: str | None = None
+    """Maker and model as the database has them. Left out: from the files."""
+    focal_length_mm: Annotated[float, Field(gt=0, le=5000)] | None = None
+    """Left out: from the files."""
+    f_number: Annotated[float, Field(gt=0, le=128)] | None = None
+    """Left out: from the files."""
+    distance_m: Annotated[float, Field(gt=0, le=100_000)] | None = None
+    """Focus distance in metres. Left out: from the files, or infinity."""
 
 
 class MergeSettings(Settings):
@@ -85,15 +102,23 @@ class MergeSettings(Settings):
     flat_field: Path | None = None
     """A RAW frame of an evenly bright surface with the same lens and aperture; the fall-off is measured on it."""
 
+    lens: Literal["off", "auto", "required"] | LensByName = "off"
+    """The lens's fall-off from the Lensfun database (`envcal[lens]`): `auto` takes it where camera and lens are known, and says
+    where they are not; with `required`, or a lens by name, that is a mistake."""
+    lens_database: Path | None = None
+    """A file or folder of Lensfun's XML that takes the place of the database that comes with the package."""
+
     @property
     def files(self) -> list[Path]:
-        """The files that are read besides the frames."""
+        """The files that are read besides the frames and the lens database."""
         return [path for path in (self.dark_frame, self.flat_field) if path is not None]
 
     @model_validator(mode="after")
     def _one_fall_off(self) -> MergeSettings:
         if self.vignetting is not None and self.flat_field is not None:
             raise ValueError("give either `vignetting` or `flat_field`; not both")
+        if self.lens != "off" and (self.vignetting is not None or self.flat_field is not None):
+            raise ValueError("give `lens`, `vignetting` or `flat_field`; only one of them")
         return self
 
 
@@ -157,6 +182,56 @@ class BalanceSettings(Settings):
 
 class PanoramaSettings(Settings):
     """Shots → one latitude-longitude map."""
+
+
+class PatchReading(Settings):
+    """What a luminance meter read on a patch of the chart, where the reference was photographed."""
+
+    patch: Annotated[int, Field(ge=1, le=24)] | str
+    """Its number, row by row from dark skin (white is 19), or its name or the beginning of it."""
+    luminance: Luminance
+    """cd/m²."""
+
+
+class VerticalIlluminance(Settings):
+    """What an illuminance meter read at the camera's place, facing sideways."""
+
+    lux: Illuminance
+    """lx."""
+    toward: Share
+    """The column of the map that the meter faced, u from the left."""
+
+
+class PhotometrySettings(Settings):
+    """The unit of radiance: relative, or cd/m² by one of these. Two of the illuminances are of the map, not of the chart."""
+
+    exposure: bool = False
+    """From ISO, aperture and exposure time, as far as the ISO is a saturation-based speed: good to a factor of 0.85 to 1.9."""
+    patch: PatchReading | None = None
+    """From the luminance of a patch of the chart."""
+    chart_illuminance: Illuminance | None = None
+    """From the illuminance on the plane of the chart, in its middle, in lx."""
+    horizontal_illuminance: Illuminance | None = None
+    """From the illuminance, in lx, on a horizontal plane that looks up, where the map was taken."""
+    vertical_illuminance: VerticalIlluminance | None = None
+    """From the illuminance on a vertical plane, where the map was taken."""
+
+    @property
+    def of_map(self) -> tuple[float, float | None] | None:
+        """The illuminance in lx at the map's place, and the column that the plane faces (None: it looks up)."""
+        if self.horizontal_illuminance is not None:
+            return self.horizontal_illuminance, None
+        vertical = self.vertical_illuminance
+        return None if vertical is None else (vertical.lux, vertical.toward)
+
+    @model_validator(mode="after")
+    def _one_way(self) -> PhotometrySettings:
+        given = [name for name in type(self).model_fields if getattr(self, name) not in (None, False)]
+        if len(given) > 1:
+            raise ValueError(
+                f"gives {' and '.join(f'`{name}`' for name in given)}; the unit comes from one of them alone"
+            )
+        return self
 
 
 class DeclaredLight(Settings):
@@ -249,6 +324,7 @@ class Pipeline(Settings):
     correct: CorrectSettings = CorrectSettings()
     balance: BalanceSettings = BalanceSettings()
     panorama: PanoramaSettings = PanoramaSettings()
+    photometry: PhotometrySettings = PhotometrySettings()
     cluster: ClusterSettings = ClusterSettings()
     uplift: UpliftSettings = UpliftSettings()
     spectra: SpectraSettings = SpectraSettings()

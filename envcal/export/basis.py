@@ -23,6 +23,7 @@ from envcal.export.opened import Opened, bands, kelvin, open_uplift, undeclared
 from envcal.export.pbrt import spd
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
+from envcal.unit import Unit
 
 Float32 = npt.NDArray[np.float32]
 
@@ -44,7 +45,9 @@ def export_basis(source: Path, folder: Path, *, progress: Progress = silent) -> 
         exr.write(
             folder / f"{name}.exr",
             {channel: np.ascontiguousarray(nodes[..., i]) for i, channel in enumerate(("c0", "c1", "c2", "scale"))},
-            attributes=provenance.attributes("export", settings={"to": "basis", "light": k}, inputs=[source]),
+            attributes=provenance.attributes(
+                "export", settings={"to": "basis", "light": k}, inputs=[source], unit=opened.unit
+            ),
         )
         for axis, values in zip("XYZ", responses(opened, k), strict=True):
             atomic.write_text(folder / f"{axis}_{name}.spd", spd(list(_FINE), list(values)))
@@ -54,7 +57,7 @@ def export_basis(source: Path, folder: Path, *, progress: Progress = silent) -> 
     exr.write(folder / "blank.exr", dict.fromkeys("RGB", blank), attributes=provenance.colour_space("sRGB"))
     atomic.write_json(folder / "lights.json", lights)
     atomic.write_text(folder / "passes.py", SCRIPT)
-    atomic.write_text(folder / "README.md", _readme(source.name, lights))
+    atomic.write_text(folder / "README.md", _readme(source.name, lights, opened.unit))
     height, width = opened.size
     figures = {"lights": lights, "rows": 2 * height + 1, "columns": width}
     return Outcome(f"{len(lights)} passes with maps of {width}×{2 * height + 1}", figures, undeclared(opened.about))
@@ -208,7 +211,7 @@ if __name__ == "__main__":
 '''
 
 
-def _readme(source: str, lights: list[dict[str, Any]]) -> str:
+def _readme(source: str, lights: list[dict[str, Any]], unit: Unit | None) -> str:
     rows = "\n".join(
         f"| `{light['name']}` | {light['type']} | {kelvin(light['cct'])} | {light['source']} |" for light in lights
     )
@@ -247,6 +250,7 @@ map stands towards +Z, `to_world` turns it.
 `lightN.exr` holds c0, c1, c2 and scale in the layout of Mitsuba's own data, which shines with D65(λ) · scale · S(c0 λ² + c1 λ + c2). The film
 responses `X_lightN.spd` … are the colour matching functions times E_N(λ)/D65(λ), from 360 to 830 nm by 1 nm, so each pass has the XYZ that
 the light's own spectrum would have given. This holds for every path that keeps its wavelength; fluorescence would break it.
+The picture's unit is the map's: {"relative" if unit is None else unit.told()}.
 
 ## What is exact, what is lost
 

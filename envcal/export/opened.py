@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from envcal import exr
 from envcal.errors import EnvcalError
+from envcal.unit import Unit, unit_of
 from envcal.uplift_file import About, read_about
 from uplift.radiance import rgb_of
 from uplift.spectrum import Observer, RGBSpace, observer, rgb_space
@@ -37,6 +38,11 @@ class Opened:
     def size(self) -> tuple[int, int]:
         """(height, width)."""
         return self.header.size
+
+    @property
+    def unit(self) -> Unit | None:
+        """The unit of its RGB; None is relative."""
+        return unit_of(self.path, self.header.attributes)
 
     @property
     def wavelengths_nm(self) -> Float64:

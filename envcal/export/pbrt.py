@@ -48,7 +48,9 @@ def export_pbrt(source: Path, folder: Path, *, half: bool = False, progress: Pro
             image = np.minimum(image, LARGEST_HALF)
         name, about = f"light{k}", opened.about.clusters[k]
         attributes = {
-            **provenance.attributes("export", settings={"to": "pbrt", "light": k, "half": half}, inputs=[source]),
+            **provenance.attributes(
+                "export", settings={"to": "pbrt", "light": k, "half": half}, inputs=[source], unit=opened.unit
+            ),
             **provenance.colour_space(SPACE),
         }
         with exr.Writer(
@@ -83,6 +85,7 @@ def export_pbrt(source: Path, folder: Path, *, half: bool = False, progress: Pro
         "negative": clipped,
         "overflow": overflow,
         "relight_delta_e": lost,
+        "unit": None if opened.unit is None else opened.unit.told(),
     }
     atomic.write_text(folder / "environment.pbrt", _scene(lights))
     atomic.write_text(folder / "README.md", _readme(figures, source.name))
@@ -145,6 +148,12 @@ def _scene(lights: list[dict[str, Any]]) -> str:
     return "\n".join([*text, "AttributeEnd", ""])
 
 
+def _unit(told: str | None) -> str:
+    if told is None:
+        return "Values are relative."
+    return f"Values are {told}: the sums of the maps are luminances."
+
+
 def _readme(figures: dict[str, Any], source: str) -> str:
     lost = figures["relight_delta_e"]
     rows = "\n".join(
@@ -164,7 +173,7 @@ left out by its `scale`. Their sum is the whole map.
 {rows}
 
 A map value of 1 is a radiance of 1, white, in the rendered image at pbrt's default exposure (`iso` 100, 1 s): so its sources say, pbrt
-has not been run. In pbrt's frame the middle of the map stands at −x and up is +z; `environment.pbrt` has the transform for scenes of +y.
+has not been run. In pbrt's frame the middle of the map stands at −x and up is +z; `environment.pbrt` has the transform for scenes of +y. {_unit(figures["unit"])}
 
 ## What is kept
 

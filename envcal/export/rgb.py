@@ -36,7 +36,9 @@ def export_rgb(
     matrix = conversion(opened.space, target)
     out = folder / file_name(space)
     attributes = {
-        **provenance.attributes("export", settings={"to": "rgb", "space": space, "half": half}, inputs=[source]),
+        **provenance.attributes(
+            "export", settings={"to": "rgb", "space": space, "half": half}, inputs=[source], unit=opened.unit
+        ),
         **provenance.colour_space(space),
         "envmap": True,
     }
@@ -69,6 +71,7 @@ def export_rgb(
         "overflow": overflow,
         "light_lost": lost / total if total > 0 else 0.0,
         "outside": outside,
+        "unit": None if opened.unit is None else opened.unit.told(),
     }
     warnings = []
     if overflow:
@@ -89,6 +92,14 @@ def export_rgb(
     return Outcome(f"{width}×{height} in {space}, {kind}", figures, warnings)
 
 
+def _brightness(told: object) -> str:
+    if told is not None:
+        return f"Values are {told}: (1, 1, 1) is 1 cd/m²."
+    return """Relative: (1, 1, 1) is the white of luminance 1, and stays (1, 1, 1) in a renderer
+that takes maps as they are. In a map from `envcal run` that is the white of the D65 lamp (unless `balance: {luminance: keep}`).
+No unit such as cd/m² stands behind it; set the exposure, or the strength of the light, in the renderer."""
+
+
 def _readme(figures: dict[str, object], source: str) -> str:
     overflow = (
         f"; set to 65504, being brighter than a half float can hold: {figures['overflow']}" if figures["half"] else ""
@@ -101,9 +112,7 @@ def _readme(figures: dict[str, object], source: str) -> str:
 width to the right of the middle is at the right hand (+X), and both edges are behind (+Z). Renderers have frames of their own:
 where the middle comes out elsewhere, turn the light about the vertical.
 
-**Brightness.** Relative: (1, 1, 1) is the white of luminance 1, and stays (1, 1, 1) in a renderer
-that takes maps as they are. In a map from `envcal run` that is the white of the D65 lamp (unless `balance: {{luminance: keep}}`).
-No unit such as cd/m² stands behind it; set the exposure, or the strength of the light, in the renderer.
+**Brightness.** {_brightness(figures["unit"])}
 
 White stays white: between spaces of different white points ({source} has D65; ACES spaces have ACES white, about D60) the
 colours are adapted by Bradford's method.

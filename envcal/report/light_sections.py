@@ -16,6 +16,7 @@ from envcal.config import LIGHT_TYPES, parse_wavelengths
 from envcal.errors import EnvcalError
 from envcal.provenance import CAMERA_RGB
 from envcal.report import plots, previews
+from envcal.unit import unit_of
 
 LONGEST_MAP = 1600
 #: What is near a light's brightest region, in heights of the map.
@@ -68,6 +69,7 @@ def environment_map(output: Path) -> dict[str, Any] | None:
         "space": small.header.attributes.get("envcalSpace"),
         "missing": bool(small.missing.any()),
         "stops": stops,
+        "unit": unit_of(path, small.header.attributes),
         "views": [
             {
                 "name": name,
@@ -342,7 +344,7 @@ def spectra(output: Path) -> dict[str, Any] | None:
         "last": wavelengths[-1],
         "count": len(wavelengths),
         "kind": {"f2": "half", "f4": "float"}.get(header.channels[bands[wavelengths[0]]], "unsigned"),
-        "unit": header.attributes.get("unit", "relative"),
+        "unit": header.attributes.get("bandUnit") or header.attributes.get("unit", "relative"),
         "layout": header.attributes.get("spectralLayoutVersion"),
         "example": spectral_exr.channel(wavelengths[0]),
         "missing": bool(small.missing.any()),

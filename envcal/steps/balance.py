@@ -9,19 +9,26 @@ import numpy.typing as npt
 
 from envcal import exr, provenance
 from envcal.cameras import sensitivities
-from envcal.config import BalanceSettings, LampOnChart, LampRectangle
+from envcal.config import BalanceSettings, LampOnChart, LampRectangle, PhotometrySettings
 from envcal.errors import EnvcalError
-from envcal.profile import Camera, Lamp, Profile, matrix_rows, mismatches, parse, row
+from envcal.profile import Lamp, Profile, matrix_rows, parse, row
 from envcal.runner import Outcome
 from envcal.spd import read_spd
 from envcal.steps import chart_light
+from envcal.steps.absolute import unit_of_chart
 
 #: What a profile calls the space of the gains where the camera's sensitivities are known.
 CAMERA_RGB_BALANCE = "camera RGB"
 
 
-def calibrate_on_lamp(corrected: Path, settings: BalanceSettings, *, folder: Path = Path()) -> Profile:
-    """Find the lamp in a corrected reference shot and return its profile, completed with the chart's light.
+def calibrate_on_lamp(
+    corrected: Path,
+    settings: BalanceSettings,
+    photometry: PhotometrySettings | None = None,
+    *,
+    folder: Path = Path(),
+) -> Profile:
+    """Find the lamp in a corrected reference shot and return its profile, completed with the chart's light and the unit.
 
     Files that the settings name start from `folder`.
     """
@@ -104,13 +111,18 @@ def calibrate_on_lamp(corrected: Path, settings: BalanceSettings, *, folder: Pat
         }
     )
     light, doubts = chart_light.measure(completed, settings.camera, folder)
-    return completed.model_copy(update={"light": light, "warnings": [*completed.warnings, *doubts]})
+    unit, readings = unit_of_chart(completed, photometry or PhotometrySettings())
+    warnings = [*completed.warnings, *doubts, *readings]
+    return completed.model_copy(update={"light": light, "unit": unit, "warnings": warnings})
 
 
 def balance(
     corrected: Path, out: Path, settings: BalanceSettings, profile: Profile, *, applied: str | None = None
 ) -> Outcome:
-    """Write `corrected` balanced by the profile's lamp to `out`; the lamp reads as D65, (1, 1, 1) in most spaces."""
+    """Write `corrected` balanced by the profile's lamp to `out`; the lamp reads as D65, (1, 1, 1) in most spaces.
+
+    With a profile that has a unit, all is in cd/m².
+    """
     from calibrate.correct import apply_matrix
 
     if profile.lamp is None or profile.balance_matrix is None:
@@ -124,12 +136,12 @@ def balance(
             f"{corrected}: was corrected with another chart matrix than the profile's. Correct it with the same "
             f"profile first: `envcal correct MERGED -o {corrected.name} --profile PROFILE`."
         )
-    balanced = apply_matrix(image, np.asarray(profile.balance_matrix))
-    camera = header.json("envcalCamera")
+    unit = profile.unit
+    balanced = apply_matrix(image, np.asarray(profile.balance_matrix) * (1.0 if unit is None else unit.factor))
     attributes = {
-        **provenance.attributes("balance", settings=settings.model_dump(mode="json"), inputs=[corrected]),
+        **provenance.attributes("balance", settings=settings.model_dump(mode="json"), inputs=[corrected], unit=unit),
         **provenance.colour_space(profile.working_space),
-        "envcalCamera": camera,
+        "envcalCamera": header.json("envcalCamera"),
         "envcalProfile": profile.model_dump(mode="json"),
     }
     exr.write(out, exr.with_lost(balanced), attributes=attributes)
@@ -141,6 +153,7 @@ def balance(
         "lamp_pixels": profile.lamp.pixels,
         "cone_gains": list(profile.lamp.cone_gains),
         "transform": profile.lamp.transform,
+        "unit": None if unit is None else unit.model_dump(mode="json"),
         "chart_light": profile.light and profile.light.model_dump(exclude={"emission", "sigma", "wavelengths_nm"}),
     }
     r, g, b = profile.lamp.rgb
@@ -150,9 +163,7 @@ def balance(
     )
     if applied is not None:
         summary = f"profile {applied} of {profile.reference_shot} applied; no lamp was looked for"
-    return Outcome(
-        summary, figures, [f"{corrected.name}: {t}" for t in mismatches(profile, Camera.model_validate(camera))]
-    )
+    return Outcome(summary if unit is None else f"{summary}; {unit.told()}", figures)
 
 
 def _read_corrected(path: Path) -> tuple[exr.Header, npt.NDArray[np.float32], Profile]:

@@ -89,7 +89,9 @@ def cluster(
     measured += [] if settings.library is None else in_library(settings.library)
     measured += [] if settings.sky_model is None else [settings.sky_model]
     attributes = {
-        **provenance.attributes("cluster", settings=_told(settings, declared), inputs=[source.path, *measured]),
+        **provenance.attributes(
+            "cluster", settings=_told(settings, declared), inputs=[source.path, *measured], unit=source.unit
+        ),
         **provenance.colour_space(source.space),
         "envmap": True,
         "envcalLights": lights.model_dump(mode="json"),

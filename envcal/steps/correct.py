@@ -12,7 +12,7 @@ from envcal import atomic, exr, provenance
 from envcal.config import CorrectSettings
 from envcal.errors import EnvcalError
 from envcal.patches_file import read_patches
-from envcal.profile import Camera, Chart, Patch, Profile, matrix_rows, mismatches, row
+from envcal.profile import Camera, Chart, Patch, Profile, exposure_gain, matrix_rows, mismatches, row
 from envcal.runner import Outcome
 
 #: From this share of lost pixels on, clipping is named before anything else that may be wrong.
@@ -104,12 +104,14 @@ def correct(
 ) -> Outcome:
     """Write `merged` in the profile's working RGB to `out`; 1 is a perfect white diffuser at the chart.
 
-    `applied` names the profile where it was not made on this shot.
+    A shot of another ISO or aperture is brought to the unit of the profile's. `applied` names the profile where it was not made on this shot.
     """
     from calibrate.correct import apply_matrix
 
     header, image = _read_merged(merged)
-    corrected = apply_matrix(image, profile.full_matrix())
+    gain = exposure_gain(profile, _camera(header))
+    # Both fits scale as the exposure does.
+    corrected = apply_matrix(image, profile.full_matrix() * (1.0 if gain is None else gain))
     attributes = {
         **provenance.attributes("correct", settings=settings.model_dump(mode="json"), inputs=[merged]),
         **provenance.colour_space(profile.working_space),
@@ -124,6 +126,7 @@ def correct(
         "delta_e": delta_e,
         "chart_score": profile.chart.score,
         "chart_found": profile.chart.found,
+        "exposure_gain": gain,
         "negative_pixels": negative,
     }
     summary = (

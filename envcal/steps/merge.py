@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -20,6 +21,7 @@ from envcal.runner import Outcome
 if TYPE_CHECKING:
     from calibrate.align import Displacement
     from calibrate.deghost import Ghosts
+    from calibrate.exposure import FrameInfo
     from calibrate.lens import Vignetting
     from calibrate.merge import Measured, Merged, MosaicFrame
     from envcal.raw import RawFrame
@@ -40,6 +42,8 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
 
     raws = [raw.described(**changes_of(raw.path.name, settings)) for raw in open_bracket(frames)]
     check_bracket([raw.info for raw in raws], mixed_iso=settings.mixed_iso, mixed_aperture=settings.mixed_aperture)
+    infos = [raw.info for raw in raws]
+    vignetting, lens, doubts = fall_off(settings, infos)
     asked = _asked(settings, raws)
     measured = measure_bracket(raws, asked)
     placed, displaced, moves = _placed(raws, measured, settings)
@@ -56,16 +60,19 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
         ghosts=None if ghosts is None else ghosts.masks,
         progress=progress,
     )
-    info = raws[0].info
+    info = infos[0]
+    # Mixed brackets are merged in units of the lowest ISO and the smallest opening.
+    iso = min((one.iso for one in infos if one.iso), default=None)
+    f_number = max((one.f_number for one in infos if one.f_number), default=None)
     del raws, placed
     image = demosaic(merged.mosaic, merged.cfa, method=settings.demosaic)
     lost = lost_pixels(image)
     share = lost_share(lost)
     image, warnings = _filled(image, merged, settings, share)
-    vignetting = _vignetting(settings)
+    warnings += doubts
     if vignetting is not None:
         image = remove_vignetting(image, vignetting)
-    camera = Camera(model=info.camera, lens=info.lens, iso=info.iso, f_number=info.f_number)
+    camera = Camera(model=info.camera, lens=info.lens, iso=iso, f_number=f_number, focal_length_mm=info.focal_length_mm)
     attributes = {
         **provenance.attributes("merge", settings=settings.model_dump(mode="json"), inputs=frames),
         **provenance.colour_space(provenance.CAMERA_RGB),
@@ -98,6 +105,7 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
         "shifts": [[float(v) for v in d.shift] if d.moved else [0.0, 0.0] for d in displaced],
         "ghosts": None if ghosts is None else [float(share) for share in ghosts.shares],
         "vignetting": vignetting,
+        "lens": lens,
         "clip_from": measured.clip_from,
         "clip_dn": [float(v) for v in _of_colours(measured.exposures[0].clip, merged.cfa)],
     }
@@ -110,7 +118,11 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
 
 def rooted(settings: MergeSettings, folder: Path) -> MergeSettings:
     """Return the settings with their paths starting from `folder`."""
-    named = {"dark_frame": settings.dark_frame, "flat_field": settings.flat_field}
+    named = {
+        "dark_frame": settings.dark_frame,
+        "flat_field": settings.flat_field,
+        "lens_database": settings.lens_database,
+    }
     return settings.model_copy(update={key: folder / path for key, path in named.items() if path is not None})
 
 
@@ -154,7 +166,32 @@ def _asked(settings: MergeSettings, raws: Sequence[RawFrame]) -> Any:
     )
 
 
-def _vignetting(settings: MergeSettings) -> Vignetting | None:
+def fall_off(
+    settings: MergeSettings, infos: Sequence[FrameInfo]
+) -> tuple[Vignetting | None, Mapping[str, Any] | None, list[str]]:
+    """Return the lens's fall-off, the lens where it is known from the database, and what a person should know."""
+    if settings.lens == "off":
+        return _own_vignetting(settings), None, []
+    from envcal.lens_data import UnknownLensError, known_lens
+
+    asked = None if isinstance(settings.lens, str) else settings.lens
+    try:
+        apertures = sorted({info.f_number for info in infos if info.f_number})
+        if len(apertures) > 1:
+            raise UnknownLensError(
+                f"{infos[0].name}: the bracket has apertures from f/{apertures[0]:g} to f/{apertures[-1]:g}, and the fall-off is another at "
+                "each; one aperture is expected. Set `merge.lens: off`, or photograph with one aperture."
+            )
+        found = known_lens(infos[0], asked, database=settings.lens_database)
+    except UnknownLensError as error:
+        if settings.lens != "auto":
+            raise
+        return None, None, [f"merge.lens auto: no fall-off was taken out. {error}"]
+    lens = dataclasses.asdict(found)
+    return lens.pop("vignetting"), lens, list(lens.pop("warnings"))
+
+
+def _own_vignetting(settings: MergeSettings) -> Vignetting | None:
     if settings.flat_field is not None:
         from calibrate.lens import measure_vignetting
         from envcal.raw import read_frame

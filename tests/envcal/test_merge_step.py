@@ -12,6 +12,7 @@ import pytest
 from envcal import exr, raw
 from envcal.checks import check_frames
 from envcal.config import MergeSettings, load
+from envcal.config.models import LensByName
 from envcal.errors import EnvcalError
 from envcal.raw import KEPT_MOSAICS, open_bracket
 from envcal.steps.merge import merge, refuse_unknown_names
@@ -189,3 +190,114 @@ def test_the_fall_off_of_the_lens_is_taken_out_from_settings_or_a_flat_field(tmp
     assert np.mean(exr.read_rgb(out)[1][:8, :8]) < 1.4
     with pytest.raises(ValueError, match="not both"):
         MergeSettings(vignetting=(0.0, 0.0, 0.0), flat_field=flat)
+
+
+DATABASE = """<lensdatabase version="1">
+ <mount><name>Alpha</name></mount>
+ <camera><maker>envcal</maker><model>Synthetic 360</model><mount>Alpha</mount><cropfactor>1.0</cropfactor></camera>
+ <lens><maker>envcal</maker><model>envcal 35mm f/2</model><mount>Alpha</mount><cropfactor>1.0</cropfactor><calibration>
+  <vignetting model="pa" focal="35" aperture="2" distance="0.5" k1="-0.5" k2="0.1" k3="0"/>
+  <vignetting model="pa" focal="35" aperture="8" distance="1000" k1="-0.5" k2="0.1" k3="0"/>
+ </calibration></lens>
+</lensdatabase>"""
+
+
+def through_a_lens(folder: Path, lens: str = "35mm F2", **settings: object) -> list[Path]:
+    """A bracket of an even surface seen through a lens of the database above."""
+    y, x = np.mgrid[0:128, 0:200] + 0.5
+    r2 = ((y - 64) ** 2 + (x - 100) ** 2) / (64**2 + 100**2)
+    fall = (1 - 0.5 * r2 + 0.1 * r2**2)[..., None] * np.ones(3)
+    frames = []
+    for n, time in enumerate(TIMES):
+        frames.append(folder / f"{n}.dng")
+        given = {"lens": lens, "focal_length_mm": 35, "distance_m": Fraction(3, 2), **settings}
+        counts = expose(2.0 * fall, time, camera=CAMERA, frame=n)
+        frames[-1].write_bytes(encode_dng(counts, time, camera=CAMERA, neutral=np.ones(3), settings=given))
+    return frames
+
+
+def test_the_fall_off_of_a_known_lens_is_taken_out_and_the_lens_told(tmp_path: Path) -> None:
+    pytest.importorskip("lensfunpy", reason="the extra `lens` is not installed")
+    frames = through_a_lens(tmp_path)
+    database = tmp_path / "lenses.xml"
+    database.write_text(DATABASE, encoding="utf-8")
+    out = tmp_path / "o.exr"
+    for lens in ("auto", "required", LensByName(name="envcal 35mm f/2")):
+        outcome = merge(frames, out, MergeSettings(lens=lens, lens_database=database))
+        assert exr.read_rgb(out)[1][[0, 0, -9, -9], [0, -9, 0, -9]] == pytest.approx(2.0, rel=0.03)
+        assert outcome.figures["lens"]["lens"] == "envcal 35mm f/2"
+        assert outcome.figures["lens"]["distance_m"] == 1.5
+        assert outcome.figures["vignetting"] is not None
+        assert not any("merge.lens" in w for w in outcome.warnings)
+    assert exr.header(out).json("envcalCamera")["focal_length_mm"] == 35
+
+
+def test_a_lens_that_is_not_known_is_refused_or_told_never_passed_over(tmp_path: Path) -> None:
+    pytest.importorskip("lensfunpy", reason="the extra `lens` is not installed")
+    frames = through_a_lens(tmp_path, "Unheard 35mm")
+    database = tmp_path / "lenses.xml"
+    database.write_text(DATABASE, encoding="utf-8")
+    out = tmp_path / "o.exr"
+    with pytest.raises(EnvcalError, match=r"'Unheard 35mm' on envcal Synthetic 360: is not in the lens database"):
+        merge(frames, out, MergeSettings(lens="required", lens_database=database))
+    outcome = merge(frames, out, MergeSettings(lens="auto", lens_database=database))
+    (warning,) = [w for w in outcome.warnings if "merge.lens" in w]
+    assert warning.startswith("merge.lens auto: no fall-off was taken out. ")
+    assert outcome.figures["lens"] is outcome.figures["vignetting"] is None
+    assert not any("merge.lens" in w for w in merge(frames, out, MergeSettings()).warnings)
+
+
+def test_check_finds_an_unknown_lens_and_a_missing_aperture_before_anything_runs(tmp_path: Path) -> None:
+    pytest.importorskip("lensfunpy", reason="the extra `lens` is not installed")
+    through_a_lens(tmp_path, "Unheard 35mm", f_number=None)
+    (tmp_path / "lenses.xml").write_text(DATABASE, encoding="utf-8")
+    pipeline = tmp_path / "p.yaml"
+
+    def checked(lens: str, exposure: bool) -> list[str]:
+        pipeline.write_text(
+            f"capture: {{reference: '*.dng'}}\nmerge: {{lens: {lens}, lens_database: lenses.xml}}\n"
+            f"photometry: {{exposure: {str(exposure).lower()}}}\n",
+            encoding="utf-8",
+        )
+        return check_frames(load(pipeline))
+
+    with pytest.raises(EnvcalError) as caught:
+        checked("required", True)
+    assert "'Unheard 35mm'" in str(caught.value)
+    assert "photometry.exposure: " in str(caught.value)
+    assert "tells no aperture" in str(caught.value)
+    assert any("merge.lens auto" in text for text in checked("auto", False))
+    # A database that cannot be read is a mistake whatever was asked for.
+    (tmp_path / "lenses.xml").write_text("<lensdatabase version='1'></lensdatabase>", encoding="utf-8")
+    with pytest.raises(EnvcalError, match="holds no lens"):
+        checked("auto", False)
+
+
+def test_one_fall_off_is_no_answer_for_several_apertures(tmp_path: Path) -> None:
+    frames, other = through_a_lens(tmp_path), tmp_path / "other"
+    other.mkdir()
+    frames[0].write_bytes(through_a_lens(other, f_number=8)[0].read_bytes())
+    with pytest.raises(EnvcalError, match=r"apertures from f/5\.6 to f/8"):
+        merge(frames, tmp_path / "o.exr", MergeSettings(lens="required", mixed_aperture=True))
+
+
+def test_a_lens_of_the_database_excludes_a_fall_off_of_ones_own(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="only one of them"):
+        MergeSettings(lens="auto", vignetting=(0.0, 0.0, 0.0))
+    through_a_lens(tmp_path)
+    pipeline = tmp_path / "p.yaml"
+    pipeline.write_text("capture: {reference: '*.dng'}\nmerge: {lens_database: none.xml}\n", encoding="utf-8")
+    with pytest.raises(EnvcalError, match=r"p\.yaml:2: merge\.lens_database: there is no file"):
+        load(pipeline)
+
+
+def test_a_mixed_bracket_says_the_settings_whose_unit_it_is_in(tmp_path: Path) -> None:
+    frames = write(tmp_path)
+    counts = expose(radiance(), TIMES[0] * 2, camera=CAMERA, frame=9)
+    # Twice the ISO for half the time: the same counts, and listed first.
+    data = encode_dng(counts, TIMES[0], camera=CAMERA, neutral=np.ones(3), settings={"iso": 200})
+    frames[0].write_bytes(data)
+    out = tmp_path / "o.exr"
+    merge(frames, out, MergeSettings(mixed_iso=True))
+    assert exr.header(out).json("envcalCamera")["iso"] == 100
+    assert error(out) < 0.01

@@ -294,3 +294,18 @@ def test_the_masked_border_is_measured(tmp_path: Path) -> None:
     np.testing.assert_allclose(info.masked.black_dn, np.array(BLACKS) + 1.4, atol=0.3)
     assert info.masked.noise_dn == pytest.approx(2.0, rel=0.1)
     assert read_info(write_dng(tmp_path / "b.dng", written)).masked is None
+
+
+@pytest.mark.parametrize(
+    ("written", "metres"),
+    [((3, 2), 1.5), ((2**32 - 1, 1), float("inf")), ((0, 1), None), ((0, 0), None), (None, None)],
+)
+def test_the_lens_is_set_as_the_file_says_and_infinity_is_not_a_number_of_metres(
+    tmp_path: Path, written: tuple[int, int] | None, metres: float | None
+) -> None:
+    exif: Tags = {33434: (RATIONAL, (1, 30)), 37386: (RATIONAL, (350, 10))}
+    if written is not None:
+        exif[37382] = (RATIONAL, written)
+    info = read_info(write_dng(tmp_path / "a.dng", mosaic_of(), exif=exif))
+    assert info.focal_length_mm == 35
+    assert info.focus_distance_m == metres

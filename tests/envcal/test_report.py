@@ -23,6 +23,8 @@ from envcal.profile import Camera, Chart, Lamp, Patch, Profile
 from envcal.report import plots, previews, write_report
 from envcal.report.page import SECTIONS
 from envcal.spectral_exr import channel, channels
+from envcal.unit import Unit
+from envcal.unit import attributes as unit_attributes
 from envcal.uplift_file import ATTRIBUTE, CHANNELS, About, Emission
 
 SPACE = "ITU-R BT.2020"
@@ -404,6 +406,20 @@ def test_figures_of_the_profile_lights_and_uplift_are_on_the_page(run: tuple[Pat
         "0.5100",
     ):
         assert figure in words, figure
+
+
+def test_the_unit_of_the_map_is_on_the_page(run: tuple[Path, dict[str, Any], str], tmp_path: Path) -> None:
+    assert "<dt>Unit</dt><dd>relative</dd>" in run[2]
+    records = finished_run(tmp_path)
+    path = tmp_path / "panorama/environment.exr"
+    unit = Unit(factor=1234.5, source="a <b>meter", likely=(0.85, 1.9))
+    attributes = {**provenance.colour_space(SPACE), **unit_attributes(unit), "envmap": True}
+    exr.write(path, exr.with_lost(room(missing=False)), attributes=attributes)
+    write_report(tmp_path, records)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert (
+        "cd/m², from a &lt;b&gt;meter; the truth lies between 0.85 and 1.9 times that; what was 1 is 1234 cd/m²" in page
+    )
 
 
 def test_the_same_run_gives_the_same_bytes(run: tuple[Path, dict[str, Any], str], tmp_path: Path) -> None:

@@ -45,7 +45,9 @@ def uplift(
     space = rgb_space(source.space, observer=seen)
     method = method_of(settings, lights, seen, space)
     attributes = {
-        **provenance.attributes("uplift", settings=settings.model_dump(mode="json"), inputs=[source.path, clusters]),
+        **provenance.attributes(
+            "uplift", settings=settings.model_dump(mode="json"), inputs=[source.path, clusters], unit=source.unit
+        ),
         **provenance.colour_space(source.space),
         "envmap": True,
         ATTRIBUTE: method.about.model_dump(mode="json"),
