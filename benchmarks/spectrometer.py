@@ -28,8 +28,8 @@ from benchmarks import rooms as relit
 from uplift.spectrometer import FAMILIES, Reading, anchored, chart_reflectances, measure_light, reading_of
 from uplift.spectrometer.camera import CameraModel, fitted_model, model_of
 from uplift.spectrometer.lamps import PUBLISHED, lamps, planck, published
-from uplift.spectrometer.measure import MOST_CHI2
 from uplift.spectrometer.prior import Prior, prior_of
+from uplift.spectrometer.refusal import MOST_CHI2
 from uplift.spectrum import illuminant, normalised, observer, rgb_space
 
 Float64 = npt.NDArray[np.float64]

@@ -103,7 +103,9 @@ def calibrate_on_lamp(corrected: Path, settings: BalanceSettings, *, folder: Pat
             "warnings": [*profile.warnings, *lamp.warnings],
         }
     )
-    light, doubts = chart_light.measure(completed, settings.camera, folder)
+    light, doubts = chart_light.measure(
+        completed, settings.camera, folder, lamp=None if settings.spectrum is None else spectrum
+    )
     return completed.model_copy(update={"light": light, "warnings": [*completed.warnings, *doubts]})
 
 
@@ -141,7 +143,8 @@ def balance(
         "lamp_pixels": profile.lamp.pixels,
         "cone_gains": list(profile.lamp.cone_gains),
         "transform": profile.lamp.transform,
-        "chart_light": profile.light and profile.light.model_dump(exclude={"emission", "sigma", "wavelengths_nm"}),
+        "chart_light": profile.light
+        and profile.light.model_dump(exclude={"emission", "sigma", "wavelengths_nm", "measured", "readings", "fitted"}),
     }
     r, g, b = profile.lamp.rgb
     now = ", ".join(f"{v:.4g}" for v in lamp_now)
