@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from envcal import cameras, profile
+from envcal import cameras, exr, profile
 from envcal.errors import EnvcalError
 from envcal.steps.chart_light import given, measure
 from uplift.illuminants import cct_duv_of, family_emission
@@ -251,3 +251,43 @@ def test_a_light_without_a_colour_gets_nothing():
     black = replace(a_light(), cct_seen=float("nan"), duv_seen=float("nan"))
     found, warnings = given([black], np.zeros((1, 3)), {"p": chart}, EYES)
     assert found == [black] and "none of the lights" in warnings[0]
+
+
+@pytest.mark.slow
+def test_from_a_capture_beside_a_module_of_its_own_spectrum_the_light_comes_out(tmp_path):
+    from fractions import Fraction
+
+    from envcal import config
+    from envcal.reporter import Reporter
+    from envcal.runner import run_pipeline
+    from envcal.stages import STAGES
+    from samples import Camera, CaptureSettings, Chart, Furnace, Module, make_capture, write_capture
+    from samples.scene import BOARD_M, CHART_BOX_M
+
+    module = Module(spectrum="LED-B1")
+    (width, height), (box_x, box_y) = module.size_m, CHART_BOX_M[:2]
+    left = 0.5 + (BOARD_M[0] / 2 + module.gap_m + 0.25 * width) / box_x
+    inside = [left, 0.5 - 0.4 * height / box_y, 0.5 * width / box_x, 0.8 * height / box_y]
+    exposures = tuple(Fraction(8) / 4**k for k in range(4))
+    for name, place in (("reference", Furnace("FL2", 80.0, Chart(), module)), ("environment", Furnace("FL2", 80.0))):
+        settings = CaptureSettings(
+            place=place, width=1024 if place.chart else 64, exposures_s=exposures, camera=Camera(), name=name
+        )
+        write_capture(tmp_path, make_capture(settings))
+    np.savetxt(
+        tmp_path / "module.csv", np.column_stack([EYES.wavelengths_nm, illuminant("LED-B1", EYES)]), delimiter=","
+    )
+    (tmp_path / "pipeline.yaml").write_text(
+        "capture: {reference: reference_*.dng, environment: environment_*.dng}\n"
+        f"balance: {{spectrum: module.csv, camera: {CAMERA}, lamp: {{chart_rectangle: {inside}}}}}\n"
+    )
+    to_balance = [stage.name for stage in STAGES].index("balance") + 1
+    run_pipeline(config.load(tmp_path / "pipeline.yaml"), STAGES[:to_balance], reporter=Reporter(quiet=True))
+    found = profile.read(tmp_path / "output" / "balance" / "profile.json")
+    light = illuminant("FL2", EYES)
+    assert found.lamp.spectrum == "module.csv" and found.light.refused == ""
+    assert np.linalg.norm(np.array(found.light.emission) - light) < NEAR * np.linalg.norm(light)
+    assert found.light.cct == pytest.approx(cct_duv_of(light, EYES)[0], rel=0.02)
+    # An applied profile brings the light along, in the header of every balanced shot.
+    header = exr.header(tmp_path / "output" / "balance" / "environment.exr")
+    assert profile.parse(str(header.attributes["envcalProfile"]), place="header").light == found.light
