@@ -320,6 +320,8 @@ def report(figures: dict[str, Any]) -> str:
             lines.append(
                 f"  {key}: {right}; expected calibration error {judged['ece']:.3f}, log loss {judged['log_loss']:.3f}"
             )
+    for case, (rightly, count) in figures.get("refusals", {}).items():
+        lines.append(f"refusal of {case}: named rightly {rightly} of {count}")
     return "\n".join(lines)
 
 
@@ -330,7 +332,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--cameras", type=int, default=11, help="cameras (default 11)")
     parser.add_argument("--each", type=int, default=2, help="cameras for each lamp of the relight test (default 2)")
     parser.add_argument("--every", type=int, default=1, help="take every n-th lamp only")
-    parser.add_argument("--only", choices=("relight", "kinds", "kinds-unknown", "held-out"), help="measure this alone")
+    parser.add_argument(
+        "--only", choices=("relight", "kinds", "kinds-unknown", "held-out", "refusals"), help="measure this alone"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
     chosen = parser.parse_args(arguments)
     named = os.environ.get("ENVCAL_DATA")
@@ -354,6 +358,10 @@ def main(arguments: list[str] | None = None) -> int:
         from benchmarks.kinds_held_out import held_out, measured
 
         figures["held_out"] = held_out(measured(everything, numbers, curves))
+    if chosen.only == "refusals":
+        from benchmarks.chart_refusals import named
+
+        figures["refusals"] = named(curves, numbers[1:7:5])
     print(report(figures))
     if chosen.json:
         chosen.json.write_text(json.dumps(figures, indent=1), encoding="utf-8")

@@ -1,9 +1,12 @@
 """The spectrometer's benchmark measures with priors that do not know the lamp, and simulates what it says."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from benchmarks import __main__ as program
+from benchmarks import chart_refusals
 from benchmarks import kinds_held_out as held
 from benchmarks import spectrometer as bench
 from uplift.spectrometer import anchored
@@ -75,3 +78,15 @@ def test_every_reading_is_judged_once_by_a_choice_made_on_the_other_half():
 
 def test_where_leds_are_misread_as_likely_the_choice_makes_them_no_likelier():
     assert all(likelier == min(held.LIKELIER) for _, likelier in held.held_out(some_readings(5.0))["chosen"])
+
+
+def test_a_refusal_counts_only_if_it_names_what_was_put_in(monkeypatch):
+    curves = anchored(np.exp(-0.5 * ((EYES.wavelengths_nm[:, None] - [600, 540, 460]) / 40.0) ** 2), EYES)
+
+    def always_a_veil(reading, **_):
+        return SimpleNamespace(refused="most likely a veil of light lies over all patches")
+
+    monkeypatch.setattr(chart_refusals, "measure_light", always_a_veil)
+    found = chart_refusals.named(np.array([curves]), [0])
+    assert found.pop("veil") == [8, 8]
+    assert set(found) == set(chart_refusals.TOLD) - {"veil"} and all(count == [0, 8] for count in found.values())

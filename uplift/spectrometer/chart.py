@@ -32,9 +32,8 @@ GAIN = 0.02
 FALL_OFF = 0.01
 VEIL = 0.002
 
-ROWS, COLUMNS = 4, 6
+COLUMNS = 6
 WHITE = 18
-NEUTRALS = slice(18, 24)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,9 +20,9 @@ from uplift.spectrum import Observer, illuminant
 
 KNOWN_ROUNDS, UNKNOWN_ROUNDS = 2, 7
 DAMPING = 0.7
-#: A camera is unlike those of the model if so many times what the model misses explains the reading better. Over 14 readings
-#: (cameras left out of the model) that held for all 7 of one camera, by a log evidence of 4.5 to 12.6, and for none of 7 of others
-#: (-2 at most); not tried on more.
+#: A camera is unlike those of the model if so many times what the model misses explains the reading better. Over 148 readings of
+#: 74 lamps by 11 cameras, each left out of the model, that held for all 13 of one camera (a film camera's sensor, ARRI D21, whose
+#: spectra would have made a map 2.6 times as wrong as without them) and for 1 of 135 of the others.
 UNUSUAL = 5.0
 
 

@@ -48,7 +48,6 @@ class MeasuredLight:
     families: Mapping[str, float]
     chi2: float
     refused: str
-    camera_known: bool
     camera_loss: float
     trusted: float
     explained: Floats
@@ -136,7 +135,6 @@ def measure_light(
         families={name: float(found.posterior.families[k]) for k, name in enumerate(FAMILIES)},
         chi2=found.chi2,
         refused=refusal(reading, surfaces, found, known, observer, others=model, wide=wide),
-        camera_known=not unknown,
         camera_loss=_loss(found, known),
         trusted=share,
         explained=found.explained.reshape(24, 3),
