@@ -359,9 +359,9 @@ def main(arguments: list[str] | None = None) -> int:
 
         figures["held_out"] = held_out(measured(everything, numbers, curves))
     if chosen.only == "refusals":
-        from benchmarks.chart_refusals import named
+        from benchmarks import chart_refusals
 
-        figures["refusals"] = named(curves, numbers[1:7:5])
+        figures["refusals"] = chart_refusals.named(curves, numbers[1:7:5])
     print(report(figures))
     if chosen.json:
         chosen.json.write_text(json.dumps(figures, indent=1), encoding="utf-8")
