@@ -206,7 +206,8 @@ def relights(
 
 def kinds(every: list[Tested], chosen: list[int], curves: Float64, *, known: bool) -> dict[str, Any]:
     """The family that each lamp is taken for with each camera, and how probable it was said to be."""
-    truth, found, misfits, refused = [], [], [], 0
+    truth, found, misfits = [], [], []
+    refused = dict.fromkeys(chosen, 0)
     models = {} if known else {k: model_without(curves, k) for k in chosen}
     for number, lamp in enumerate(every):
         prior = prior_without(lamp)
@@ -217,12 +218,13 @@ def kinds(every: list[Tested], chosen: list[int], curves: Float64, *, known: boo
             truth.append(FAMILIES.index(lamp.family))
             found.append([light.families[name] for name in FAMILIES])
             misfits.append(light.chi2)
-            refused += bool(light.refused)
+            refused[camera] += bool(light.refused)
     return {
         **judged_kinds(np.array(truth), np.array(found)),
         "lamps": len(every),
         "largest_chi2": max(misfits),
-        "refused": refused,
+        "refused": sum(refused.values()),
+        "refused_of_camera": refused,
     }
 
 
@@ -309,6 +311,8 @@ def report(figures: dict[str, Any]) -> str:
                 f"{key}: {own['lamps']} lamps, {own['readings']} readings, {own['refused']} refused, chi² ≤ {own['largest_chi2']:.2f} (limit {MOST_CHI2}), "
                 f"expected calibration error {own['ece']:.3f}, log loss {own['log_loss']:.3f}"
             )
+            some = ", ".join(f"{name}: {count}" for name, count in own["refused_of_camera"].items() if count)
+            lines.append(f"  refused of each camera, of {own['lamps']}: {some or 'none'}")
             lines += [f"  {name:13} {share:.1%} of {count}" for name, (share, count) in own["right"].items()]
             lines += [f"  said {said:.3f}, right {right:.3f} ({count})" for said, right, count in own["reliability"]]
     if "held_out" in figures:
