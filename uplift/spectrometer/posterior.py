@@ -31,14 +31,14 @@ FAMILY_TEMPER, LED_LIKELIER = 0.25, 4 / 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
-    """`light` [N], non-negative, in the unit of A, and its `covariance` [N, N]; `weights` [K] of the Gaussians; `families`
-    [5], the probability of each; `freedom`, how many numbers the reading determined; `log_evidence`, tempered as the weights
-    are, but for a constant of the reading; `misfit` [K], -log evidence of each Gaussian but for such a constant.
+    """`light` [N], non-negative, in the unit of A, and its `covariance` [N, N]; `families` [5], the probability of each.
+
+    `freedom`: how many numbers the reading determined; `log_evidence`, tempered as the mixture is, but for a constant of the
+    reading; `misfit` [K]: -log evidence of each Gaussian but for such a constant.
     """
 
     light: Floats
     covariance: Floats
-    weights: Floats
     families: Floats
     freedom: float
     log_evidence: float
@@ -80,7 +80,7 @@ def posterior(m: Floats, A: Floats, covariance: Floats, prior: Prior, *, positiv
     light = part @ estimates
     apart = estimates - light
     spread += (part[:, np.newaxis] * apart).T @ apart
-    return Posterior(np.maximum(light, 0.0), spread, weights, families, freedom, total, misfit)
+    return Posterior(np.maximum(light, 0.0), spread, families, freedom, total, misfit)
 
 
 def family_probabilities(misfit: Floats, prior: Prior, temper: float, led_likelier: float) -> Floats:
