@@ -28,8 +28,8 @@ from benchmarks import rooms as relit
 from uplift.spectrometer import FAMILIES, Reading, anchored, chart_reflectances, measure_light, reading_of
 from uplift.spectrometer.camera import CameraModel, fitted_model, model_of
 from uplift.spectrometer.lamps import PUBLISHED, lamps, planck, published
-from uplift.spectrometer.measure import MOST_CHI2
 from uplift.spectrometer.prior import Prior, prior_of
+from uplift.spectrometer.refusal import MOST_CHI2
 from uplift.spectrum import illuminant, normalised, observer, rgb_space
 
 Float64 = npt.NDArray[np.float64]
@@ -206,7 +206,8 @@ def relights(
 
 def kinds(every: list[Tested], chosen: list[int], curves: Float64, *, known: bool) -> dict[str, Any]:
     """The family that each lamp is taken for with each camera, and how probable it was said to be."""
-    truth, found, misfits, refused = [], [], [], 0
+    truth, found, misfits = [], [], []
+    refused = dict.fromkeys(chosen, 0)
     models = {} if known else {k: model_without(curves, k) for k in chosen}
     for number, lamp in enumerate(every):
         prior = prior_without(lamp)
@@ -217,10 +218,28 @@ def kinds(every: list[Tested], chosen: list[int], curves: Float64, *, known: boo
             truth.append(FAMILIES.index(lamp.family))
             found.append([light.families[name] for name in FAMILIES])
             misfits.append(light.chi2)
-            refused += bool(light.refused)
-    right = np.argmax(found, axis=1) == np.array(truth)
-    surest = np.max(found, axis=1)
-    bins = []
+            refused[camera] += bool(light.refused)
+    return {
+        **judged_kinds(np.array(truth), np.array(found)),
+        "lamps": len(every),
+        "largest_chi2": max(misfits),
+        "refused": sum(refused.values()),
+        "refused_of_camera": refused,
+    }
+
+
+def judged_kinds(truth: npt.NDArray[np.int64], found: Float64) -> dict[str, Any]:
+    """How often the most probable family was right [S] by the probabilities `found` [S, 5], and whether these are true.
+
+    `ece` is the expected calibration error over 15 bins of equal width (C. Guo et al., "On calibration of modern neural
+    networks", ICML 2017); `log_loss` the mean of -log of the right family's probability.
+    """
+    right, surest = found.argmax(axis=1) == truth, found.max(axis=1)
+    bins, ece = [], 0.0
+    for k in range(15):
+        inside = (surest > k / 15) & (surest <= (k + 1) / 15)
+        if inside.any():
+            ece += float(inside.mean() * abs(surest[inside].mean() - right[inside].mean()))
     for low, high in (
         (0.2, 0.5),
         (0.5, 0.6),
@@ -235,17 +254,17 @@ def kinds(every: list[Tested], chosen: list[int], curves: Float64, *, known: boo
         if inside.any():
             bins.append([float(surest[inside].mean()), float(right[inside].mean()), int(inside.sum())])
     by_family = {
-        name: [float(right[np.array(truth) == k].mean()), int((np.array(truth) == k).sum())]
+        name: [float(right[truth == k].mean()), int((truth == k).sum())]
         for k, name in enumerate(FAMILIES)
-        if k in truth
+        if (truth == k).any()
     }
+    said = np.maximum(found[np.arange(truth.size), truth], 1e-12)
     return {
-        "readings": len(truth),
-        "lamps": len(every),
+        "readings": truth.size,
         "right": by_family,
         "reliability": bins,
-        "largest_chi2": max(misfits),
-        "refused": refused,
+        "ece": ece,
+        "log_loss": float(-np.log(said).mean()),
     }
 
 
@@ -289,10 +308,24 @@ def report(figures: dict[str, Any]) -> str:
         if key in figures:
             own = figures[key]
             lines.append(
-                f"{key}: {own['lamps']} lamps, {own['readings']} readings, {own['refused']} refused, chi² ≤ {own['largest_chi2']:.2f} (limit {MOST_CHI2})"
+                f"{key}: {own['lamps']} lamps, {own['readings']} readings, {own['refused']} refused, chi² ≤ {own['largest_chi2']:.2f} (limit {MOST_CHI2}), "
+                f"expected calibration error {own['ece']:.3f}, log loss {own['log_loss']:.3f}"
             )
+            some = ", ".join(f"{name}: {count}" for name, count in own["refused_of_camera"].items() if count)
+            lines.append(f"  refused of each camera, of {own['lamps']}: {some or 'none'}")
             lines += [f"  {name:13} {share:.1%} of {count}" for name, (share, count) in own["right"].items()]
             lines += [f"  said {said:.3f}, right {right:.3f} ({count})" for said, right, count in own["reliability"]]
+    if "held_out" in figures:
+        own = figures["held_out"]
+        lines.append(f"temper and weight of LEDs chosen on either half of the lamps: {own['chosen']}")
+        for key in ("held_out", "shipped"):
+            judged = own[key]
+            right = ", ".join(f"{name} {share:.1%} of {count}" for name, (share, count) in judged["right"].items())
+            lines.append(
+                f"  {key}: {right}; expected calibration error {judged['ece']:.3f}, log loss {judged['log_loss']:.3f}"
+            )
+    for case, (rightly, count) in figures.get("refusals", {}).items():
+        lines.append(f"refusal of {case}: named rightly {rightly} of {count}")
     return "\n".join(lines)
 
 
@@ -303,7 +336,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--cameras", type=int, default=11, help="cameras (default 11)")
     parser.add_argument("--each", type=int, default=2, help="cameras for each lamp of the relight test (default 2)")
     parser.add_argument("--every", type=int, default=1, help="take every n-th lamp only")
-    parser.add_argument("--only", choices=("relight", "kinds", "kinds-unknown"), help="measure this alone")
+    parser.add_argument(
+        "--only", choices=("relight", "kinds", "kinds-unknown", "held-out", "refusals"), help="measure this alone"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
     chosen = parser.parse_args(arguments)
     named = os.environ.get("ENVCAL_DATA")
@@ -323,6 +358,14 @@ def main(arguments: list[str] | None = None) -> int:
         figures["kinds_known"] = kinds(everything, numbers, curves, known=True)
     if chosen.only == "kinds-unknown":
         figures["kinds_unknown"] = kinds(everything, numbers, curves, known=False)
+    if chosen.only == "held-out":
+        from benchmarks.kinds_held_out import held_out, measured
+
+        figures["held_out"] = held_out(measured(everything, numbers, curves))
+    if chosen.only == "refusals":
+        from benchmarks import chart_refusals
+
+        figures["refusals"] = chart_refusals.named(curves, numbers[1:7:5])
     print(report(figures))
     if chosen.json:
         chosen.json.write_text(json.dumps(figures, indent=1), encoding="utf-8")

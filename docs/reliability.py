@@ -1,4 +1,8 @@
-"""Make docs/images/reliability.png from the figures of `python -m benchmarks spectrometer --json FILE`: give it FILE."""
+"""Make docs/images/reliability.png of the families that the chart tells.
+
+`python docs/reliability.py FILE…` takes what `python -m benchmarks spectrometer --only kinds --json FILE` wrote, and for unknown cameras
+that of `--only kinds-unknown`.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +11,14 @@ import sys
 from pathlib import Path
 
 
-def main(figures: Path, picture: Path) -> None:
+def main(files: list[Path], picture: Path) -> None:
     """Plot how often the most probable family was right over how probable it was said to be."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    found = json.loads(figures.read_text(encoding="utf-8"))
+    found = {key: value for file in files for key, value in json.loads(file.read_text(encoding="utf-8")).items()}
     figure, axes = plt.subplots(figsize=(4.2, 4.0), layout="constrained")
     axes.plot([0, 1], [0, 1], color="0.7", linewidth=1)
     for key, label in (("kinds_known", "camera known"), ("kinds_unknown", "camera unknown")):
@@ -28,4 +32,4 @@ def main(figures: Path, picture: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(__file__).parent / "images" / "reliability.png")
+    main([Path(name) for name in sys.argv[1:]], Path(__file__).parent / "images" / "reliability.png")

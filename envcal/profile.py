@@ -105,9 +105,17 @@ class ChartLight(_Part):
     """How many times larger the standard deviation is for not knowing the camera."""
     wavelengths_nm: list[float]
     emission: list[float]
-    """Relative spectral power, Y = 1."""
+    """Relative spectral power to be used, Y = 1."""
     sigma: list[float]
     """Standard deviation of `emission`."""
+    measured: list[float] = Field(default_factory=list)
+    """What the chart measured, Y = 1, before a smooth spectrum was mixed in; empty in profiles of earlier versions."""
+    trusted: float | None = Field(default=None, ge=0, le=1)
+    """Share of `measured` in `emission`, the rest being smooth; null in profiles of earlier versions."""
+    readings: list[Row] = Field(default_factory=list)
+    """Camera RGB of each patch, without the fall-off, over that of the lamp: what was fitted."""
+    fitted: list[Row] = Field(default_factory=list)
+    """What the fit says they should have read."""
     cct: float | None
     """Kelvin."""
     duv: float | None

@@ -110,7 +110,9 @@ def calibrate_on_lamp(
             "warnings": [*profile.warnings, *lamp.warnings],
         }
     )
-    light, doubts = chart_light.measure(completed, settings.camera, folder)
+    light, doubts = chart_light.measure(
+        completed, settings.camera, folder, lamp=None if settings.spectrum is None else spectrum
+    )
     unit, readings = unit_of_chart(completed, photometry or PhotometrySettings())
     warnings = [*completed.warnings, *doubts, *readings]
     return completed.model_copy(update={"light": light, "unit": unit, "warnings": warnings})
@@ -154,7 +156,8 @@ def balance(
         "cone_gains": list(profile.lamp.cone_gains),
         "transform": profile.lamp.transform,
         "unit": None if unit is None else unit.model_dump(mode="json"),
-        "chart_light": profile.light and profile.light.model_dump(exclude={"emission", "sigma", "wavelengths_nm"}),
+        "chart_light": profile.light
+        and profile.light.model_dump(exclude={"emission", "sigma", "wavelengths_nm", "measured", "readings", "fitted"}),
     }
     r, g, b = profile.lamp.rgb
     now = ", ".join(f"{v:.4g}" for v in lamp_now)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from envcal.profile import ChartLight, Profile
+from envcal.profile import ChartLight, Profile, row
 
 if TYPE_CHECKING:
     from uplift.lights import Light
@@ -25,10 +25,13 @@ _MIRED, _DUV = 4.0, 0.002
 _MIX_UV, _MIX_LEAST = 0.006, 0.08
 
 
-def measure(profile: Profile, camera: str | None, folder: Path) -> tuple[ChartLight | None, list[str]]:
+def measure(
+    profile: Profile, camera: str | None, folder: Path, *, lamp: npt.NDArray[np.float64] | None = None
+) -> tuple[ChartLight | None, list[str]]:
     """Return the light on the chart of a profile that knows its lamp, and warnings. `camera` is a name or a file.
 
-    A light that was refused is returned too, with the reason; it is kept in the profile and not used.
+    `lamp` [N] is the spectrum of the profile's lamp on the standard observer's grid; None: D65. A light that was refused is
+    returned too, with the reason; it is kept in the profile and not used.
     """
     from envcal.cameras import sensitivities
     from uplift import UpliftError
@@ -42,8 +45,6 @@ def measure(profile: Profile, camera: str | None, folder: Path) -> tuple[ChartLi
         return None, [
             "the light on the chart is not measured beside a root-polynomial. Set `correct.fit: linear` for that."
         ]
-    if profile.lamp.spectrum is not None:
-        return None, ["the light on the chart is measured only beside a D65 lamp, not one of a spectrum of its own."]
     seen = observer()
     curves = None if camera is None else sensitivities(place_of(camera, folder), seen.wavelengths_nm)
     back = np.linalg.inv(np.asarray(profile.matrix))
@@ -58,7 +59,7 @@ def measure(profile: Profile, camera: str | None, folder: Path) -> tuple[ChartLi
             np.where(spoilt, values.max(), noise),
             back @ np.asarray(profile.lamp.rgb),
         )
-        found = measure_light(reading, camera=curves, observer=seen)
+        found = measure_light(reading, camera=curves, observer=seen, lamp=lamp)
     except UpliftError as error:
         return None, [f"the light on the chart could not be measured: {error}"]
     light = ChartLight(
@@ -67,6 +68,10 @@ def measure(profile: Profile, camera: str | None, folder: Path) -> tuple[ChartLi
         wavelengths_nm=[float(v) for v in seen.wavelengths_nm],
         emission=[float(v) for v in found.emission],
         sigma=[float(v) for v in found.sigma],
+        measured=[float(v) for v in found.measured],
+        trusted=found.trusted,
+        readings=[row(values) for values in reading.values],
+        fitted=[row(values) for values in found.explained],
         cct=_number(found.cct),
         duv=_number(found.duv),
         cct_sigma=found.cct_sigma,
@@ -127,15 +132,20 @@ def _with_spectrum(light: Light, name: str, chart: ChartLight, observer: Observe
     family = chart.family
     sure = 1.0 - float(np.linalg.norm(chart.sigma) / np.linalg.norm(chart.emission))
     camera = f"camera {chart.camera}" if chart.camera else "camera fitted along"
+    followed, remedy = "", ""
+    if chart.trusted is not None and chart.trusted < 1.0:
+        followed = f"; only {chart.trusted:.0%} of it, the rest a smooth spectrum of its colour, as it is not sure"
+        remedy = "" if chart.camera else "Give the camera's sensitivities (`balance.camera`)."
     return replace(
         light,
         type="measured",
         cct=cct,
         duv=duv,
         emission=emission,
-        source=f"measured by the chart of {name} ({camera}; {family} with probability {chart.families[family]:.2f})",
+        source=f"measured by the chart of {name} ({camera}; {family} with probability {chart.families[family]:.2f}{followed})",
         confidence=float(np.clip(sure, 0.3, 0.99)),
-        remedy="",
+        remedy=remedy,
+        kinds=dict(chart.families),
     )
 
 

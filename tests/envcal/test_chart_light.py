@@ -1,5 +1,6 @@
 """The chart's light in profile and lights: it goes to the light of its colour and to no other, or says why not."""
 
+import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from envcal import cameras, profile
+from envcal import cameras, exr, profile
 from envcal.errors import EnvcalError
 from envcal.steps.chart_light import given, measure
 from uplift.illuminants import cct_duv_of, family_emission
@@ -27,8 +28,11 @@ def curves():
     return cameras.sensitivities(CAMERA, EYES.wavelengths_nm)
 
 
-def a_profile(light, *, lamp=True, noise=0.002, slope=0.0, fall_off=1.0):
-    """The profile of a chart under a light; `slope` tilts red from one side of the chart to the other."""
+def a_profile(light, *, lamp=True, noise=0.002, slope=0.0, fall_off=1.0, module=None):
+    """The profile of a chart under a light; `slope` tilts red from one side of the chart to the other.
+
+    `module` is the spectrum of the lamp in the picture; None: D65.
+    """
     raw = chart_reflectances(EYES) @ (curves() * light[:, None])
     raw = raw * (1 + noise * np.random.default_rng(3).standard_normal((24, 3)))
     shade = np.linspace(fall_off, 1 / fall_off, 24)
@@ -48,17 +52,18 @@ def a_profile(light, *, lamp=True, noise=0.002, slope=0.0, fall_off=1.0):
         for k in range(24)
     ]
     chart = profile.Chart(reference="r", found="auto", corners=[], quads=[], cost=None, fit="linear", patches=patches)
-    d65 = 7.0 * illuminant("D65", EYES) @ curves()
+    shown = 7.0 * (illuminant("D65", EYES) if module is None else module) @ curves()
     strip = profile.Lamp(
         found="auto",
         polygon=[],
         pixels=50,
         clipped=0,
-        rgb=profile.row(MATRIX @ d65),
+        rgb=profile.row(MATRIX @ shown),
         noise=(0, 0, 0),
         transform="CAT16",
         luminance="lamp",
         cone_gains=(1, 1, 1),
+        spectrum=None if module is None else "module.csv",
     )
     return profile.Profile(
         working_space="ITU-R BT.2020",
@@ -106,6 +111,34 @@ def test_the_profile_tells_the_spectrum_on_its_chart(camera, loss):
     assert (light.camera_loss > 1) == loss
 
 
+def test_beside_a_lamp_of_its_own_spectrum_the_light_is_measured_too():
+    light, module = illuminant("FL11", EYES), illuminant("LED-B1", EYES)
+    found, warnings = measure(a_profile(light, module=module), CAMERA, Path(), lamp=module)
+    assert warnings == [] and found.refused == ""
+    assert np.linalg.norm(np.array(found.emission) - light) < NEAR * np.linalg.norm(light)
+    assert found.cct == pytest.approx(cct_duv_of(light, EYES)[0], rel=0.02)
+    # Believed to be D65, the same lamp makes the light wrong or refused.
+    believed, _ = measure(a_profile(light, module=module), CAMERA, Path())
+    assert believed.refused or abs(believed.cct - found.cct) > 1000
+
+
+def test_the_profile_keeps_what_was_read_what_was_fitted_and_how_far_it_is_trusted(tmp_path):
+    whole = a_profile(illuminant("LED-B3", EYES), fall_off=1.3)
+    light, _ = measure(whole, None, Path())
+    whole.model_copy(update={"light": light}).write(tmp_path / "p.json")
+    kept = profile.read(tmp_path / "p.json")
+    assert kept.light == light and 0 <= light.trusted <= 1
+    raw = np.array([patch.camera_rgb for patch in kept.chart.patches])
+    fall_off = np.array([[patch.light] for patch in kept.chart.patches])
+    lamp = np.linalg.inv(np.array(kept.matrix)) @ kept.lamp.rgb
+    np.testing.assert_allclose(kept.light.readings, raw / fall_off / lamp, rtol=1e-12)
+    np.testing.assert_allclose(kept.light.fitted, kept.light.readings, rtol=0.05)
+    # What is used goes from the smooth spectrum towards the measured one by the share that is trusted, colour unchanged.
+    np.testing.assert_allclose(
+        xyz_of(np.array(kept.light.emission), EYES), xyz_of(np.array(kept.light.measured), EYES), rtol=1e-6
+    )
+
+
 def test_the_camera_may_be_a_file_beside_the_settings(tmp_path):
     table = np.column_stack([EYES.wavelengths_nm, curves()])
     np.savetxt(tmp_path / "mine.csv", table, delimiter=",")
@@ -148,9 +181,11 @@ def test_the_profile_with_its_light_is_written_and_read_and_one_of_format_1_is_r
     assert profile.read(tmp_path / "p.json") == whole
     old = made.model_dump(mode="json") | {"format": 1}
     del old["light"]
-    import json
-
     assert profile.parse(json.dumps(old), place="old").light is None
+    earlier = whole.model_dump(mode="json")
+    for name in ("measured", "trusted", "readings", "fitted"):
+        del earlier["light"][name]
+    assert profile.parse(json.dumps(earlier), place="earlier").light.trusted is None
 
 
 def test_the_spectrum_goes_to_the_light_of_its_colour_and_to_no_other():
@@ -162,6 +197,19 @@ def test_the_spectrum_goes_to_the_light_of_its_colour_and_to_no_other():
     assert second.type == "measured" and "p.json" in second.source and "led" in second.source
     assert 0.3 <= second.confidence <= 0.99 and second.remedy == ""
     np.testing.assert_allclose(second.emission, chart.emission, rtol=1e-6)
+    assert second.kinds == chart.families and first.kinds == other.kinds
+
+
+@pytest.mark.parametrize(("camera", "remedy"), [("", "balance.camera"), (CAMERA, "")])
+def test_a_spectrum_followed_in_part_says_so(camera, remedy):
+    chart, _ = measure(a_profile(illuminant("LED-B3", EYES)), CAMERA, Path())
+    own = a_light()
+    for trusted, told in ((0.25, "only 25% of it"), (1.0, "")):
+        part = chart.model_copy(update={"trusted": trusted, "camera": camera})
+        (found,), _ = given([own], colours(own.emission), {"p": part}, EYES)
+        assert ("only" in found.source) == bool(told) and told in found.source
+        assert bool(found.remedy) == (bool(remedy) and bool(told))
+        assert not found.remedy or remedy in found.remedy
 
 
 def test_what_a_person_declared_stays():
@@ -203,3 +251,43 @@ def test_a_light_without_a_colour_gets_nothing():
     black = replace(a_light(), cct_seen=float("nan"), duv_seen=float("nan"))
     found, warnings = given([black], np.zeros((1, 3)), {"p": chart}, EYES)
     assert found == [black] and "none of the lights" in warnings[0]
+
+
+@pytest.mark.slow
+def test_from_a_capture_beside_a_module_of_its_own_spectrum_the_light_comes_out(tmp_path):
+    from fractions import Fraction
+
+    from envcal import config
+    from envcal.reporter import Reporter
+    from envcal.runner import run_pipeline
+    from envcal.stages import STAGES
+    from samples import Camera, CaptureSettings, Chart, Furnace, Module, make_capture, write_capture
+    from samples.scene import BOARD_M, CHART_BOX_M
+
+    module = Module(spectrum="LED-B1")
+    (width, height), (box_x, box_y) = module.size_m, CHART_BOX_M[:2]
+    left = 0.5 + (BOARD_M[0] / 2 + module.gap_m + 0.25 * width) / box_x
+    inside = [left, 0.5 - 0.4 * height / box_y, 0.5 * width / box_x, 0.8 * height / box_y]
+    exposures = tuple(Fraction(8) / 4**k for k in range(4))
+    for name, place in (("reference", Furnace("FL2", 80.0, Chart(), module)), ("environment", Furnace("FL2", 80.0))):
+        settings = CaptureSettings(
+            place=place, width=1024 if place.chart else 64, exposures_s=exposures, camera=Camera(), name=name
+        )
+        write_capture(tmp_path, make_capture(settings))
+    np.savetxt(
+        tmp_path / "module.csv", np.column_stack([EYES.wavelengths_nm, illuminant("LED-B1", EYES)]), delimiter=","
+    )
+    (tmp_path / "pipeline.yaml").write_text(
+        "capture: {reference: reference_*.dng, environment: environment_*.dng}\n"
+        f"balance: {{spectrum: module.csv, camera: {CAMERA}, lamp: {{chart_rectangle: {inside}}}}}\n"
+    )
+    to_balance = [stage.name for stage in STAGES].index("balance") + 1
+    run_pipeline(config.load(tmp_path / "pipeline.yaml"), STAGES[:to_balance], reporter=Reporter(quiet=True))
+    found = profile.read(tmp_path / "output" / "balance" / "profile.json")
+    light = illuminant("FL2", EYES)
+    assert found.lamp.spectrum == "module.csv" and found.light.refused == ""
+    assert np.linalg.norm(np.array(found.light.emission) - light) < NEAR * np.linalg.norm(light)
+    assert found.light.cct == pytest.approx(cct_duv_of(light, EYES)[0], rel=0.02)
+    # An applied profile brings the light along, in the header of every balanced shot.
+    header = exr.header(tmp_path / "output" / "balance" / "environment.exr")
+    assert profile.parse(str(header.attributes["envcalProfile"]), place="header").light == found.light

@@ -37,6 +37,17 @@ class CameraModel:
         """Sensitivities [N, 3] of the camera that lies `amounts` [J] standard deviations along the directions."""
         return np.asarray(np.maximum(self.mean + np.tensordot(amounts, self.directions, 1), 0.0))
 
+    def anchored_to(self, lamp: Floats, observer: Observer) -> CameraModel:
+        """Return the model whose cameras respond with 1 to the spectrum `lamp` [N] instead of D65.
+
+        Of the first order in the amounts; cameras differ by some per cent in their response to a lamp, so what is left out
+        is some tenths of a per cent.
+        """
+        mean = anchored(self.mean, observer, lamp)
+        response = lamp @ self.mean * observer.step_nm
+        along = self.directions / response
+        return CameraModel(mean, along - mean * (lamp @ along * observer.step_nm)[:, np.newaxis, :])
+
     def left_over(self, curves: Floats, observer: Observer) -> tuple[Floats, Floats]:
         """What curves [N, 3] may miss: standard deviations [N, 3], and their correlation [N, N] over wavelengths."""
         nm = observer.wavelengths_nm

@@ -1,7 +1,8 @@
 """The chart as an instrument: what each patch gives for a light, and how far that can be wrong.
 
-A reading is m[p, c] = g_c Σ R_p(λ) S_c(λ) E(λ) Δλ (1 + errors). Readings are divided by the camera's reading of the D65
-lamp, and sensitivities by their response to D65, so that g_c is 1 but for the error of that anchor. Besides the noise of
+A reading is m[p, c] = g_c Σ R_p(λ) S_c(λ) E(λ) Δλ (1 + errors). Readings are divided by the camera's reading of a lamp of known
+spectrum (D65, unless another is declared), and sensitivities by their response to that spectrum, so that g_c is 1 but for
+the error of that anchor. Besides the noise of
 the readings there are errors of the model itself, which are what limits a real measurement:
 
 - of every reading: the reflectances of a chart differ from the published mean (production, age): `REFLECTANCE` of the
@@ -31,14 +32,13 @@ GAIN = 0.02
 FALL_OFF = 0.01
 VEIL = 0.002
 
-ROWS, COLUMNS = 4, 6
+COLUMNS = 6
 WHITE = 18
-NEUTRALS = slice(18, 24)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """A chart as a camera saw it, in units of the D65 lamp's reading.
+    """A chart as a camera saw it, in units of the reading of the lamp of known spectrum.
 
     `values` [24, 3]: camera RGB of each patch, black subtracted, divided by that of the lamp channel by channel; `noise`
     [24, 3]: standard errors in the same unit; patches row by row from dark skin to black.
@@ -54,7 +54,7 @@ class Reading:
 
 
 def reading_of(camera_rgb: npt.ArrayLike, noise: npt.ArrayLike, lamp_rgb: npt.ArrayLike) -> Reading:
-    """Return the reading of patches `camera_rgb` [24, 3] with standard errors `noise` and a D65 lamp of `lamp_rgb` [3].
+    """Return the reading of patches `camera_rgb` [24, 3] with standard errors `noise`, beside a known lamp of `lamp_rgb` [3].
 
     Raises UpliftError if shapes differ, or a value is not finite or is not positive where light must be.
     """
@@ -77,17 +77,23 @@ def reading_of(camera_rgb: npt.ArrayLike, noise: npt.ArrayLike, lamp_rgb: npt.Ar
     return Reading(values / lamp, errors / lamp)
 
 
-def anchored(sensitivities: npt.ArrayLike, observer: Observer) -> Floats:
-    """Return sensitivities [N, 3] with a response of 1 to D65 in each channel. Raises UpliftError if one sees nothing."""
+def anchored(sensitivities: npt.ArrayLike, observer: Observer, lamp: Floats | None = None) -> Floats:
+    """Return sensitivities [N, 3] with a response of 1 to the spectrum `lamp` [N] in each channel; None: D65.
+
+    Raises UpliftError if shapes differ, or a channel does not see the lamp.
+    """
     curves = np.asarray(sensitivities, np.float64)
     if curves.shape != (observer.wavelengths_nm.size, 3) or not np.isfinite(curves).all() or curves.min() < 0:
         raise UpliftError(
             f"sensitivities of shape {curves.shape}; expected ({observer.wavelengths_nm.size}, 3), finite and not negative, "
             "on the observer's grid"
         )
-    response = illuminant("D65", observer) @ curves * observer.step_nm
+    response = (illuminant("D65", observer) if lamp is None else lamp) @ curves * observer.step_nm
     if response.min() <= 0:
-        raise UpliftError("sensitivities: a channel does not see D65; expected three channels of visible light")
+        raise UpliftError(
+            f"sensitivities: a channel does not see {'D65' if lamp is None else 'the lamp of known spectrum'}; expected three "
+            "channels of visible light, and a lamp that shines in each"
+        )
     return curves / response
 
 

@@ -1,7 +1,6 @@
 """From a chart's raw values to the spectrum of the light on it, with what can be said against it.
 
-A fit is refused where it does not explain the reading: chi² per degree of freedom above `MOST_CHI2`. Then likely reasons are
-tried one after the other, each as some more freedom in the model, and the one that explains the reading best is named.
+A spectrum that is not sure is followed only in part (`safety`), and what no single light explains is refused (`refusal`).
 """
 
 from __future__ import annotations
@@ -16,24 +15,15 @@ import numpy.typing as npt
 from uplift import UpliftError
 from uplift.illuminants import cct_duv_of
 from uplift.spectrometer.camera import CameraModel, typical_camera
-from uplift.spectrometer.chart import COLUMNS, WHITE, Reading
+from uplift.spectrometer.chart import Reading, anchored
 from uplift.spectrometer.fit import Fit, fit
 from uplift.spectrometer.lamps import FAMILIES
 from uplift.spectrometer.posterior import Floats, posterior
 from uplift.spectrometer.prior import Prior, prior_of
+from uplift.spectrometer.refusal import refusal
 from uplift.spectrometer.safety import trusted
 from uplift.spectrum import Observer, normalised, xyz_of
 
-#: Over 320 lamps unknown to the prior and 10 cameras at 1 % noise the largest was 1.02 with a known camera, over fewer 1.2
-#: with an unknown one (the errors assumed are larger than those simulated); a veil of 4 % of white gives 5 and more, other
-#: cameras' sensitivities 0.9 to 18 (median 5).
-MOST_CHI2 = 1.5
-#: Two lights of like colours leave a small chi²; what betrays them is that the misfit is ordered across the chart. F ratio
-#: of the colour's slopes to the rest (4 and some 60 degrees of freedom: 5.3 is met once in a thousand), and the least
-#: slope that matters: of a channel against green, from the middle to a rim.
-UNEVEN_F, UNEVEN_LEAST = 5.5, 0.01
-#: Of the white patch, or of a channel from one side of the chart to the other: how far the likely reasons may go.
-_MUCH = 0.3
 _BASE = "BabelColor Average"
 
 
@@ -44,11 +34,12 @@ class MeasuredLight:
     `emission` [N], Y = 1, and its standard deviation `sigma` [N] in the same unit; `cct` in K, `duv` and their standard
     deviations; the probability of each family; `chi2` per degree of freedom; `refused`: why it must not be used, or "";
     `camera_loss`: how many times larger the standard deviation is for not knowing the camera (1: it is known);
-    `trusted`: the share of the measured spectrum in `emission`, the rest being a smooth one of its colour (`safety`), whose
-    distance `sigma` then includes.
+    `trusted`: the share in `emission` of `measured` [N], Y = 1, the rest being a smooth one of its colour (`safety`), whose
+    distance `sigma` then includes; `explained` [24, 3]: what the fit says that the patches should have read.
     """
 
     emission: Floats
+    measured: Floats
     sigma: Floats
     cct: float
     duv: float
@@ -57,9 +48,9 @@ class MeasuredLight:
     families: Mapping[str, float]
     chi2: float
     refused: str
-    camera_known: bool
     camera_loss: float
-    trusted: float = 1.0
+    trusted: float
+    explained: Floats
 
     @property
     def family(self) -> str:
@@ -88,25 +79,28 @@ def measure_light(
     observer: Observer,
     reflectances: Floats | None = None,
     prior: Prior | None = None,
+    lamp: npt.ArrayLike | None = None,
 ) -> MeasuredLight:
     """Return the light on a colour chart.
 
     Parameters
     ----------
     reading
-        The chart's 24 patches, relative to the D65 lamp (`reading_of`).
+        The chart's 24 patches, relative to the lamp of known spectrum (`reading_of`).
     camera
         Sensitivities [N, 3] on the observer's grid in any unit, or None: unknown; it is then fitted together with the light.
-        (Or a model of cameras to use instead of the built-in one.)
+        (Or a model of cameras to use instead of the built-in one, anchored to D65.)
     reflectances
         Shape [24, N]. Default: `chart_reflectances`.
     prior
         Default: `prior_of(observer)`.
+    lamp
+        Spectrum [N] of the lamp of known spectrum, in any unit. Default: D65.
 
     Raises
     ------
     UpliftError
-        If shapes differ. A reading that no light explains is no error: see `refused`.
+        If shapes differ, or the lamp is no light that each channel sees. A reading that no light explains is no error: see `refused`.
     """
     surfaces = chart_reflectances(observer) if reflectances is None else np.asarray(reflectances, np.float64)
     if surfaces.shape != (24, observer.wavelengths_nm.size):
@@ -114,9 +108,12 @@ def measure_light(
             f"chart: reflectances of shape {surfaces.shape}; expected (24, {observer.wavelengths_nm.size}), on the observer's grid"
         )
     known = prior if prior is not None else prior_of(observer)
-    instrument = typical_camera(observer) if camera is None else camera
-    if not isinstance(instrument, CameraModel):
-        instrument = np.asarray(instrument, np.float64)
+    anchor = None if lamp is None else normalised(lamp, observer)
+    model = camera if isinstance(camera, CameraModel) else typical_camera(observer)
+    if anchor is not None:
+        model = model.anchored_to(anchor, observer)
+    unknown = camera is None or isinstance(camera, CameraModel)
+    instrument = model if unknown else anchored(np.asarray(camera, np.float64), observer, anchor)
     found = fit(reading, surfaces, instrument, known, observer)
     light = found.posterior.light
     if light @ observer.cmfs[:, 1] <= 0:
@@ -126,13 +123,10 @@ def measure_light(
     spread = found.posterior.covariance * unit**2
     cct, duv, cct_sigma, duv_sigma = _colour(emission, spread, observer)
     used, share = trusted(emission, spread, surfaces, observer)
-    refused = _uneven(found)
-    if found.unusual_camera:
-        refused = _UNUSUAL
-    if found.chi2 > MOST_CHI2:
-        refused = _reason(reading, surfaces, found, known, observer, instrument)
+    wide = fit(reading, surfaces, model, known, observer, unusual=True) if unknown else None
     return MeasuredLight(
         emission=used,
+        measured=emission,
         sigma=np.sqrt(np.maximum(np.diag(spread), 0.0) + (used - emission) ** 2),
         cct=cct,
         duv=duv,
@@ -140,10 +134,10 @@ def measure_light(
         duv_sigma=duv_sigma,
         families={name: float(found.posterior.families[k]) for k, name in enumerate(FAMILIES)},
         chi2=found.chi2,
-        refused=refused,
-        camera_known=not isinstance(instrument, CameraModel),
+        refused=refusal(reading, surfaces, found, known, observer, others=model, wide=wide),
         camera_loss=_loss(found, known),
         trusted=share,
+        explained=found.explained.reshape(24, 3),
     )
 
 
@@ -175,79 +169,3 @@ def _loss(found: Fit, prior: Prior) -> float:
         return 1.0
     sure = posterior(found.A @ found.posterior.light, found.A, found.fixed_camera, prior, positive=False)
     return float(np.sqrt(np.trace(found.posterior.covariance) / max(np.trace(sure.covariance), 1e-300)))
-
-
-_TWO_LIGHTS = (
-    "the colour of the light changes across the chart: several lights reach it. Photograph it where one of them is much the "
-    "brightest"
-)
-
-
-_UNUSUAL = (
-    "the camera's sensitivities are unlike those of the cameras known here, and cannot be told from the light. Give them "
-    "(`balance.camera`)."
-)
-
-
-def _slopes(found: Fit, channels: tuple[int, ...]) -> Floats:
-    """Readings [2 per channel, 72] that grow by their own amount from the middle of the chart to its rims."""
-    patches = (found.A @ found.posterior.light).reshape(24, 3)
-    row, column = np.divmod(np.arange(24), COLUMNS)
-    sides = ((column - 2.5) / 2.5, (row - 1.5) / 1.5)
-    return np.stack([(side[:, np.newaxis] * patches * np.eye(3)[c]).reshape(-1) for c in channels for side in sides])
-
-
-def _uneven(found: Fit) -> str:
-    """Why the light's colour cannot be the same all over the chart, or ""."""
-    V = _slopes(found, (0, 2)).T
-    explained = np.linalg.solve(found.covariance, V)
-    precision = V.T @ explained
-    slopes = np.linalg.solve(precision, explained.T @ found.residual)
-    rest = found.residual - V @ slopes
-    free = max(found.residual.size - found.posterior.freedom - len(slopes), 1.0)
-    noise = float(rest @ np.linalg.solve(found.covariance, rest)) / free
-    ratio = float(slopes @ precision @ slopes) / len(slopes) / max(noise, 1e-300)
-    if ratio <= UNEVEN_F or np.abs(slopes).max() < UNEVEN_LEAST:
-        return ""
-    return f"by {np.abs(slopes).max():.1%} from its middle to a rim (F {ratio:.0f}) {_TWO_LIGHTS}."
-
-
-def _reason(
-    reading: Reading,
-    reflectances: Floats,
-    found: Fit,
-    prior: Prior,
-    observer: Observer,
-    instrument: Floats | CameraModel,
-) -> str:
-    """The most likely of the usual reasons why no light explains a reading, and what to do."""
-    patches = (found.A @ found.posterior.light).reshape(24, 3)
-    veil = [_MUCH * np.tile(np.eye(3)[c] * patches[WHITE], 24) for c in range(3)]
-    tried = {
-        "a veil of light lies over all patches (gloss, or light that shines into the lens). Turn the chart until no lamp "
-        "mirrors in it, and shade the lens": _freed(reading, found, np.stack(veil), prior),
-        _TWO_LIGHTS: _freed(reading, found, _MUCH * _slopes(found, (0, 1, 2)), prior),
-    }
-    if not isinstance(instrument, CameraModel):
-        other = fit(reading, reflectances, typical_camera(observer), prior, observer)
-        tried["the sensitivities are those of another camera. Give this camera's, or none"] = other.chi2
-    best = min(tried, key=lambda text: tried[text])
-    told = (
-        f"no light explains the patches (chi² per degree of freedom {found.chi2:.1f}; expected {MOST_CHI2:g} at most): "
-    )
-    if tried[best] <= MOST_CHI2:
-        return told + "most likely " + best + "."
-    return told + (
-        "none of the usual reasons (glare, several lights, another camera) accounts for it either. Check that the chart is a "
-        "ColorChecker Classic, was found the right way up, and is neither dirty nor faded."
-    )
-
-
-def _freed(reading: Reading, found: Fit, more: Floats, prior: Prior) -> float:
-    """Chi² per degree of freedom if the readings may deviate along `more` [J, 72] besides."""
-    errors = found.covariance + more.T @ more
-    m = found.A @ found.posterior.light + found.residual
-    again = posterior(m, found.A, errors, prior, positive=False)
-    residual = m - found.A @ again.light
-    freedom = max(reading.flat.size - again.freedom - len(more), 1.0)
-    return float(residual @ np.linalg.solve(errors, residual)) / freedom

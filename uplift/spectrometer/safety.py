@@ -8,7 +8,8 @@ smooth spectrum the first is taken whose loss, in the worst tenth of the draws, 
 
 This is an approximation of the uplift, not the uplift itself: over 156 estimates of 39 lamps, few of them LEDs, the logarithm
 of its ratio for the true light had a correlation of 0.87 to 0.94 with that of rendered rooms. The constants below were chosen
-on these same estimates.
+on these same estimates, and tried on 296 of 74 lamps (docs/spectrometer.md): 91 % of the spectra with a known camera are
+followed whole, and of 13 maps that they would make worse than 1.2 times the error without them 2 remain.
 """
 
 from __future__ import annotations
