@@ -155,11 +155,13 @@ def _one(view: View, mine: Bools, colours: Floats, weight: Floats, direct: bool,
     place = _brightest_region(view.luminance, mine)
     if not len(colours):  # a cluster of the paper's metric may hold dark pixels only
         colours, weight, direct = view.rgb[mine], view.light[mine], False
-    inside = np.flatnonzero(mine)
-    rgb, solid_angle = view.rgb.reshape(-1, 3)[inside], view.solid_angle.ravel()[inside]
+    rgb = view.rgb.reshape(-1, 3)
+    own = np.where(
+        mine, view.solid_angle, 0.0
+    ).ravel()  # no gathering of pixels: that costs twice as much as all the rest
     return _Described(
-        mean=solid_angle @ rgb / solid_angle.sum(),
-        brightest=rgb[np.argmax(view.luminance.ravel()[inside])],
+        mean=own @ rgb / own.sum(),
+        brightest=rgb[np.argmax(np.where(mine, view.luminance, -1.0))],
         lamp=lamp_colour(colours, weight),
         direct=direct,
         spread=_spreads(colours, weight, xyz_from_rgb),
