@@ -272,6 +272,7 @@ def outdoors(context: Context) -> dict[str, Any]:
                 "chosen": ours(clusters.labels, [light.emission for light in found]),
                 "best": scan[best],
                 "best_cct": best,
+                "scan": scan,
             }
         )
     return {"rows": rows}
