@@ -7,8 +7,8 @@ wrong kind of lamp does more harm than a smooth spectrum does: over 195 rooms of
 has 0.86 times the error of the unconstrained uplift in the geometric mean and 1.11 times at worst.
 
 The probability of each kind of lamp, from sky, CCT and Duv (`illuminants.kinds`), is told with every light and chooses
-nothing: spectra blended by those probabilities gain on average and lose badly where the likeliest kind is the wrong one
-(the same with `--alternatives`).
+nothing: over 33 such rooms (`--only single --alternatives --every 6`) spectra blended by those probabilities had 0.84 times the
+error in the mean and 2.4 at worst, the spectra taken 0.92 and 1.04, smooth ones of the light's own CCT 0.93 and 1.10.
 
 A CCT that was *measured* beyond the reach of a family is moved to the family's end, with a warning; a CCT that was
 *declared* there is refused.
