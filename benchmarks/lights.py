@@ -18,19 +18,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.lights_report import report
 from benchmarks.maps import lit_map
 from benchmarks.rooms import Lamp, Room, Scene, atlas, error, lamps, lit, rooms, scaled_error, skies, solid_angle
 from uplift.cct import cct_duv, xy_of_rgb
 from uplift.cluster import Clusters, cluster_angles
 from uplift.illuminants import FAMILIES, family_emission
 from uplift.lights import Lights, lights_of
+from uplift.lights.mixtures import mixtures_of
 from uplift.sky import find_sky
 from uplift.spectrum import Observer, RGBSpace, illuminant, observer, rgb_space
 
 Float64 = npt.NDArray[np.float64]
 
 ALIKE_MIRED, ALIKE_DUV = 25.0, 0.010  # nearer lamps count as one light
-SINGLE_K = (1900.0, 6600.0)
 WITHOUT_DATA = "ENVCAL_DATA is not set: times only"
 # Which groups shine and how strongly, ceiling, floor lamps, window.
 STRENGTHS = ((1.0, 1.0, 0.0), (1.0, 0.0, 1.0), (0.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.4, 1.0, 1.0), (1.0, 0.4, 0.0))
@@ -160,17 +161,23 @@ def several(context: Context, places: list[Room], every: list[Lamp], *, count: i
     return {"rows": rows}
 
 
+def owners(scene: Scene, clusters: Clusters, context: Context) -> tuple[Float64, Float64, npt.NDArray[np.int64]]:
+    """Return the clusters' CCTs [k], how far each is from each lamp [k, lamps] (1: alike), and the nearest lamp [k]; −1: none."""
+    cct, duv = cct_duv(xy_of_rgb(clusters.lamps, context.space.xyz_from_rgb))
+    truth_mired = np.array([1e6 / lamp.cct for lamp in scene.lamps])
+    truth_duv = np.array([lamp.duv for lamp in scene.lamps])
+    off = np.hypot((1e6 / cct[:, None] - truth_mired) / ALIKE_MIRED, (duv[:, None] - truth_duv) / ALIKE_DUV)
+    owner = np.where(np.isfinite(off).all(axis=1), np.argmin(np.nan_to_num(off, nan=1e9), axis=1), -1)
+    return cct, off, owner
+
+
 def several_row(scene: Scene, context: Context) -> dict[str, Any]:
     """Return the figures of one scene of several lamps."""
     present, clusters = find(scene.rgb, context.space)
     weight = solid_angle(scene.rgb.shape[0])[:, None] / scene.rgb.shape[1]
     light = scene.parts.sum(axis=0) * weight
     shares = (scene.parts * weight).sum(axis=(1, 2)) / light.sum()
-    cct, duv = cct_duv(xy_of_rgb(clusters.lamps, context.space.xyz_from_rgb))
-    truth_mired = np.array([1e6 / lamp.cct for lamp in scene.lamps])
-    truth_duv = np.array([lamp.duv for lamp in scene.lamps])
-    off = np.hypot((1e6 / cct[:, None] - truth_mired) / ALIKE_MIRED, (duv[:, None] - truth_duv) / ALIKE_DUV)
-    owner = np.where(np.isfinite(off).all(axis=1), np.argmin(np.nan_to_num(off, nan=1e9), axis=1), -1)
+    cct, off, owner = owners(scene, clusters, context)
     strongest = np.argmax(scene.parts, axis=0)
     right = owner[clusters.labels] == strongest
     found = [bool((np.abs(cct / lamp.cct - 1) < 0.08).any()) for lamp in scene.lamps]
@@ -185,6 +192,52 @@ def several_row(scene: Scene, context: Context) -> dict[str, Any]:
         "cct_seen": [float(v) for v in cct],
         "right": float((right * light).sum() / light.sum()),
         "spurious": int(sum(np.nan_to_num(off, nan=9.0).min(axis=1) > 1.5)),
+    }
+
+
+# ---- pixels of two lamps ----
+
+
+def shared(context: Context, places: list[Room], every: list[Lamp], *, count: int, seed: int) -> dict[str, Any]:
+    """Rooms of two lamps whose spectra are declared: the relight ratio of hard labels and of mixtures, found and true."""
+    rows = []
+    pairs = [lights for lights in mixtures(every, 2 * count, seed) if len(lights) == 2][:count]
+    for number, lights in enumerate(pairs):
+        scene = lit(places[number % len(places)], lights, observer=context.eyes, space=context.space)
+        _, clusters = find(scene.rgb, context.space)
+        owner = owners(scene, clusters, context)[2]
+        if sorted(owner) == [0, 1]:
+            rows.append(_shared_row(scene, clusters, owner, context))
+    return {"rows": rows, "left_out": len(pairs) - len(rows)}
+
+
+def _shared_row(
+    scene: Scene, clusters: Clusters, owner: npt.NDArray[np.int64], context: Context
+) -> dict[str, float | str]:
+    eyes, space = context.eyes, context.space
+    emissions = [scene.lamps[lamp].emission for lamp in owner]
+    mixing = mixtures_of(emissions, clusters.share.tolist(), [True, True], room=3)
+    every = [*emissions, *mixing.emissions]
+    parts = scene.parts[owner]
+    strongest = np.argmax(parts, axis=0).astype(np.uint32)
+    part = (parts.max(axis=0) / np.maximum(parts.sum(axis=0), 1e-30)).astype(np.float32)
+    scaled = scaled_error(scene, context.reflectances, observer=eyes, space=space)
+
+    def ratio(labels: npt.NDArray[np.uint32], lights: list[Float64]) -> float:
+        return error(scene, labels, lights, context.reflectances, observer=eyes, space=space) / scaled
+
+    unknown = [light.emission for light in lights_of(scene.rgb, clusters, observer=eyes, space=space)]
+    of_unknown = mixtures_of(unknown, clusters.share.tolist(), [True, True], room=3)
+    found = mixing.labels(clusters.labels, clusters.second, clusters.weight)
+    return {
+        "scene": scene.name,
+        "scaled": scaled,
+        "one": ratio(clusters.labels, emissions),
+        "mixed": ratio(found, every),
+        "one, true": ratio(strongest, emissions),
+        "mixed, true": ratio(mixing.labels(strongest, 1 - strongest, part), every),
+        "undeclared, one": ratio(clusters.labels, unknown),
+        "undeclared, mixed": ratio(found, [*unknown, *of_unknown.emissions]),
     }
 
 
@@ -219,6 +272,7 @@ def outdoors(context: Context) -> dict[str, Any]:
                 "chosen": ours(clusters.labels, [light.emission for light in found]),
                 "best": scan[best],
                 "best_cct": best,
+                "scan": scan,
             }
         )
     return {"rows": rows}
@@ -256,96 +310,20 @@ def times(width: int, height: int, repeat: int) -> dict[str, float]:
     return best
 
 
-# ---- the report ----
-
-
-def gmean(values: Any) -> float:
-    """Geometric mean."""
-    return float(np.exp(np.mean(np.log(np.asarray(values, np.float64)))))
-
-
-def report(figures: dict[str, Any]) -> str:
-    """Return the figures as text, each with what is asked of it."""
-    lines = []
-    t = figures["times"]
-    lines.append(
-        f"time at {figures['size'][0]}×{figures['size'][1]}: sky {t['sky_s']:.3f} s, clusters {t['clusters_s']:.3f} s, "
-        f"CCT and spectra {t['lights_s']:.3f} s, all {t['all_s']:.3f} s ({t['all_cpu_s']:.2f} s of CPU); "
-        f"ratio to 1 s: {t['all_s']:.2f}"
-    )
-    if "single" in figures:
-        lines += _single_report(figures["single"]["rows"])
-    if "several" in figures:
-        lines += _several_report(figures["several"]["rows"])
-    if "outdoors" in figures:
-        for row in figures["outdoors"]["rows"]:
-            lines.append(
-                f"{row['scene']}: sky {row['sky']}, {row['clusters']} clusters ({row['outdoor']} outdoor), {row['cct']:.0f} K: "
-                f"ΔE {row['chosen']:.3f}, best single CCT {row['best_cct']:.0f} K {row['best']:.3f}, ratio "
-                f"{row['chosen'] / row['best']:.3f} (≤ 1.10); ÷ scaled {row['chosen'] / row['scaled']:.2f}"
-            )
-    return "\n".join(lines)
-
-
-def _single_report(rows: list[dict[str, Any]]) -> list[str]:
-    lamps_of_figure = [
-        row
-        for row in rows
-        if row["kind"] in ("led", "fluorescent", "incandescent") and SINGLE_K[0] <= row["cct"] <= SINGLE_K[1]
-    ]
-    off = np.array([abs(row["cct_seen"] / row["cct"] - 1) for row in lamps_of_figure])
-    one = [row["clusters"] == 1 for row in lamps_of_figure]
-    lines = [
-        f"one lamp ({len(rows)} maps; {len(off)} of LED, fluorescent, incandescent 1900–6600 K): one cluster in "
-        f"{np.mean(one):.1%}; CCT off by {np.median(off):.2%} median (≤ 3 %), {off.max():.2%} worst (≤ 6 %); "
-        f"sky seen in {sum(row['sky'] for row in rows)} of {len(rows)} rooms"
-    ]
-    within = [abs(row["cct_seen"] - row["cct"]) <= row["cct_sigma"] for row in rows if np.isfinite(row["cct_seen"])]
-    lines.append(f"  the CCT is within its stated standard deviation in {np.mean(within):.0%} of the maps")
-    for kind, asked in (("led", 0.45), ("fluorescent", 0.25), ("incandescent", 0.5)):
-        for own in (True, False):
-            those = [row for row in rows if row["kind"] == kind and row["library"] == own]
-            if kind == "incandescent":
-                those = [row for row in those if row["cct"] < 2200 - 1]
-            if those:
-                ratios = [row["declared"] for row in those]
-                told = f"(≤ {asked})" if own else ""
-                lines.append(
-                    f"  declared {kind}{' below 2200 K' if kind == 'incandescent' else ''}, "
-                    f"{'in the library' if own else 'others'}: ratio {np.mean(ratios):.2f} {told} worst {max(ratios):.2f}; "
-                    f"with the true spectrum {np.mean([row['true'] for row in those]):.2f}"
-                )
-    for key in ("undeclared", "smooth", "led", "fluorescent", "blend", "true"):
-        known = [row for row in rows if key in row]
-        if known:
-            worst = max(known, key=lambda row: row[key])
-            lines.append(
-                f"  {key}: ratio {gmean([row[key] for row in known]):.3f} geometric mean, worst {worst[key]:.2f} "
-                f"({worst['scene']}), {sum(row[key] > 1.15 for row in known)} of {len(known)} above 1.15"
-                + (" (asked: ≤ 0.95, none)" if key == "undeclared" else "")
-            )
-    return lines
-
-
-def _several_report(rows: list[dict[str, Any]]) -> list[str]:
-    found = [one for row in rows for one in row["found"]]
-    right = np.array([row["right"] for row in rows])
-    return [
-        f"several lamps ({len(rows)} maps): {np.mean(found):.1%} of the lamps with 10 % of the light found within 8 % CCT "
-        f"(asked: all); pixels in the right cluster, by luminance: {np.median(right):.1%} median (≥ 85 %), {right.min():.1%} worst, "
-        f"{np.percentile(right, 10):.1%} tenth percentile; {sum(row['spurious'] for row in rows)} clusters of no lamp; "
-        f"sky seen in {sum(row['sky'] for row in rows)}"
-    ]
+# ---- all of it ----
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Measure and print; return 0."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks lights", description=__doc__)
     parser.add_argument("--mixtures", type=int, default=48, help="rooms of two and three lamps (default 48)")
+    parser.add_argument("--pairs", type=int, default=18, help="rooms of two declared lamps (default 18)")
     parser.add_argument("--seed", type=int, default=0, help="of their lamps")
     parser.add_argument("--every", type=int, default=1, help="take every n-th lamp only")
     parser.add_argument("--size", type=int, default=4096, help="width of the map whose time is taken")
-    parser.add_argument("--only", choices=("single", "several", "outdoors", "times"), help="measure this alone")
+    parser.add_argument(
+        "--only", choices=("single", "several", "shared", "outdoors", "times"), help="measure this alone"
+    )
     parser.add_argument("--alternatives", action="store_true", help="other answers to an unknown type too")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
     chosen = parser.parse_args(arguments)
@@ -372,6 +350,8 @@ def measured(folder: Path, chosen: argparse.Namespace) -> dict[str, Any]:
         out["single"] = single(context, places, every, alternatives=chosen.alternatives)
     if chosen.only in (None, "several"):
         out["several"] = several(context, places, every, count=chosen.mixtures, seed=chosen.seed)
+    if chosen.only in (None, "shared"):
+        out["shared"] = shared(context, places, every, count=chosen.pairs, seed=chosen.seed)
     if chosen.only in (None, "outdoors"):
         out["outdoors"] = outdoors(context)
     return out

@@ -117,6 +117,9 @@ def test_the_lights_benchmark_measures_times_where_there_is_no_folder(capsys, tm
     assert json.loads((tmp_path / "f").read_text())["times"]["all_s"] > 0
 
 
+TIMES = ("sky_s", "clusters_s", "lights_s", "all_s", "all_cpu_s")
+
+
 @pytest.mark.skipif("ENVCAL_DATA" not in os.environ, reason="ENVCAL_DATA names no folder of rooms")
 def test_the_lights_benchmark_knows_the_truth_of_its_rooms():
     from pathlib import Path
@@ -136,6 +139,8 @@ def test_the_lights_benchmark_knows_the_truth_of_its_rooms():
     context = lights.Context(folder, EYES, WIDE)
     row = lights.several_row(scene, context)
     assert row["lamps"] == 2 and 0 <= row["right"] <= 1
+    of_two = lights.shared(context, [room], list(every.values()), count=1, seed=0)
+    assert "mixed, true" in lights.report({"size": [2, 1], "times": dict.fromkeys(TIMES, 0.0), "shared": of_two})
     same = rooms.relight(scene.spectra, scene.spectra, context.reflectances, observer=EYES, space=WIDE)
     assert same == 0.0
     assert rooms.scaled_error(scene, context.reflectances, observer=EYES, space=WIDE) > 0.1

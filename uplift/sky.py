@@ -39,6 +39,8 @@ GLARE_STEP = 8  # levels of 255: so much brighter is what ends the sky, if it is
 GLARE_WIDTH = 1 / 8  # of the width: the widest gap that the sun or a cloud may cut into the sky
 MIN_MEAN_BORDER = 1 / 30  # of the height (paper)
 LOW_BORDER, JAGGED_ROWS = 1 / 4, 5.0  # a border above H/4 on average must be smooth (paper)
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of channels: a covariance is symmetric
+PLACE_OF_PAIR = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 JUMP = 1 / 3  # of the height: a neighbouring column's border that far off starts the last test (paper)
 
 
@@ -53,11 +55,11 @@ class Sky:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sums:
-    """Sums from the top down to each row: [rows + 1, W] of weight, [.., 3] of colour, [.., 3, 3] of its products."""
+    """Sums from the top down to each row: [rows + 1, W] of weight, [.., 3] of colour, [.., 6] of its products."""
 
     weight: Floats
     colour: Floats
-    product: Floats
+    product: Floats  # of the channels of PAIRS
 
 
 def find_sky(image: Image, luminance_weights: npt.ArrayLike) -> Sky:
@@ -133,7 +135,8 @@ def _sums(colours: Floats) -> _Sums:
         return np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
 
     weighted = colours * weight[..., np.newaxis]
-    return _Sums(down(weight), down(weighted), down(weighted[..., np.newaxis] * colours[..., np.newaxis, :]))
+    products = np.stack([weighted[..., i] * colours[..., j] for i, j in PAIRS], axis=-1)
+    return _Sums(down(weight), down(weighted), down(products))
 
 
 def _sky_and_ground(sums: _Sums, border: npt.NDArray[np.int64]) -> list[tuple[float, Floats, Floats]]:
@@ -147,8 +150,8 @@ def _sky_and_ground(sums: _Sums, border: npt.NDArray[np.int64]) -> list[tuple[fl
             parts.append(top if above else table[-1].sum(axis=0) - top)
         weight = float(parts[0])
         mean = parts[1] / max(weight, 1e-12)
-        covariance = parts[2] / max(weight, 1e-12) - np.outer(mean, mean)
-        out.append((weight, mean, (covariance + covariance.T) / 2))
+        covariance = parts[2][PLACE_OF_PAIR] / max(weight, 1e-12) - np.outer(mean, mean)
+        out.append((weight, mean, covariance))
     return out
 
 

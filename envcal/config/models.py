@@ -295,6 +295,9 @@ class UpliftSettings(Settings):
     brightness: Annotated[float, Field(ge=1.05, le=64)] = 3.0
     """The brightest component of a pixel is 1/brightness of what a white reflectance would give: 2 in the paper; 3
     relights rooms better under every family of lamps. `constrained` alone; the others keep 2."""
+    mixtures: bool = False
+    """Pixels that two lights of known spectra share get a mixture of both, in quarters, instead of the stronger one's
+    alone: nearer to the truth, but up to three emissions more a pair of lights, and renderers take longer. `constrained` alone."""
 
 
 class SpectraSettings(Settings):

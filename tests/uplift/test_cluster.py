@@ -166,6 +166,22 @@ def test_a_panels_own_colour_is_found_behind_what_it_throws_back():
     assert abs(seen.max() / true - 1) < 0.5 * abs(mixed / true - 1)
 
 
+def test_two_lamps_that_a_third_ones_light_makes_look_alike_are_two():
+    """D55 and D65 are 28 mired apart; a window of D65 that throws back tungsten light from the walls looks 15 away."""
+    day, window, bulb = emission_rgb("D55"), emission_rgb("D65"), emission_rgb("A")
+    image = np.repeat(np.repeat((0.7 * bulb)[np.newaxis, np.newaxis], 64, 0), 128, 1)
+    image[20:28, 10:24] = 8.0 * window + 0.7 * bulb
+    image[20:23, 80:83] = 60.0 * bulb
+    image[30:34, 60:64] = 60.0 * day
+    seen = 1e6 / cct_duv(xy_of_rgb(np.stack([day, image[22, 12]]), SPACE.xyz_from_rgb))[0]
+    assert abs(seen[0] - seen[1]) < 16
+    clusters = clusters_of(image.astype(np.float32))
+    assert clusters.count == 3
+    np.testing.assert_allclose(
+        ccts(clusters), true_ccts(["D65", "D55", "A"]), rtol=0.02
+    )  # of what is taken off, a guess
+
+
 def test_shares_are_ordered_and_add_up_and_places_hold_their_lamp():
     clusters = clusters_of(room(["D65", "A", "LED-B3"]))
     assert clusters.share.sum() == pytest.approx(1.0)

@@ -9,12 +9,12 @@ That method takes a coloured wall for a lamp. The default, `evidence="lamps"`, f
 No matt surface is brighter than the irradiance that falls on it over π, so what is far brighter than the greatest
 irradiance at the camera over π, and not merely the glow around something brighter still, is a lamp (or a window, or
 the sun) seen directly, and its colour is its own. Clusters are formed of those pixels, weighted by luminance times
-solid angle, and every other pixel goes to the nearest. Where no lamp is in view, the locally brightest surfaces take
-their place, under a stricter test, as they are the ones most likely to be white (Land's retinex argument).
+solid angle (`count`), and less what a lamp throws back of the others' light (`lamps`). Where no lamp is in view, the
+locally brightest surfaces take their place, under a stricter test, as they are the ones most likely to be white (Land's
+retinex argument). A pixel has the two lights that give most of it, by its colour, its surroundings and its place
+(`membership`).
 
 The statistics are made on a map of at most 1024 columns and a histogram of it; only the labels touch every pixel.
-
-Left out: soft membership (a pixel lit by two lamps gets the nearer one), and any use of where a pixel is.
 """
 
 from __future__ import annotations
@@ -87,5 +87,6 @@ def cluster_angles(
     if evidence == "bright":
         found = bright(view)
         return lone(image, view, found, grow_like_the_paper(found, view.sky, matrix, k_max), matrix)
-    chosen = choose(lamps_or_surfaces(view), view, matrix, k_max)
-    return mixed(image, view, chosen, sky, matrices=(np.asarray(luminance_weights, np.float64), matrix))
+    matrices = (np.asarray(luminance_weights, np.float64), matrix)
+    chosen = choose(lamps_or_surfaces(view), view, k_max, matrices=matrices)
+    return mixed(image, view, chosen, sky, matrices=matrices)

@@ -110,7 +110,7 @@ def _ways(rows: int, columns: int) -> Image:
 def greatest_nearby(luminance: Floats, radius: int) -> Floats:
     """Greatest luminance within `radius` pixels of the working map, wrapping in x."""
     radius = max(1, min(radius, luminance.shape[1] // 2))
-    padded = np.pad(luminance, ((0, 0), (radius, radius)), mode="wrap")
+    padded = np.pad(luminance.astype(np.float32), ((0, 0), (radius, radius)), mode="wrap")
     # a square, not a disc: OpenCV does its rows and columns apart, thirty times as fast
     grown = cv2.dilate(padded, np.ones((2 * radius + 1, 2 * radius + 1), np.uint8))
     return np.asarray(grown[:, radius:-radius], np.float64)

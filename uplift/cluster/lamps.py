@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from uplift.cluster.evidence import Evidence, View
-from uplift.cluster.membership import Members
+from uplift.cluster.kmeans import directions, squared
+from uplift.cluster.membership import Members, members, membership
 
 Floats = npt.NDArray[np.float64]
 
@@ -17,6 +20,38 @@ Floats = npt.NDArray[np.float64]
 REFLECTED = 1.0
 AROUND = 20.0 / 360.0  # of the width: what stands around a lamp
 LEAST_LEFT = 0.5  # of each component: more is never taken away
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lamps:
+    """The lights, and what speaks for each."""
+
+    owner: npt.NDArray[np.int64]  # [P] the light of each piece of evidence
+    evidence: Floats  # [P, 3] its colour, less what lamps in view throw back of the others' light
+    colours: Floats  # [k, 3]
+
+
+def lamps_of(view: View, found: Evidence, centres: Floats, outdoor: int, luminance_weights: Floats) -> Lamps:
+    """Return the lights around `centres` [k, 3] (directions in RGB), of which `outdoor` (the last; −1: none) is the sky's."""
+    count = len(centres)
+    lamps_only = centres[: count - (outdoor >= 0)]
+    owner = np.zeros(0, np.int64)
+    if len(found.place):
+        owner = np.argmin(squared(directions(found.rgb), lamps_only), axis=1)
+
+    def colours_of(evidence: Floats) -> Floats:
+        out = centres.copy()
+        for one in np.unique(owner):
+            out[one] = lamp_colour(evidence[owner == one], found.weight[owner == one])
+        return out
+
+    evidence, colours = found.rgb, colours_of(found.rgb)
+    if found.direct and count > 1:
+        tables = membership(view, colours, found, owner, luminance_weights=luminance_weights, lamp_above=found.above)
+        before = members(view.rgb.astype(np.float32), tables, view.sky, outdoor)
+        evidence = without_reflections(view, found, owner, colours, before, luminance_weights)
+        colours = colours_of(evidence)
+    return Lamps(owner, evidence, colours)
 
 
 def lamp_colour(rgb: Floats, weight: Floats) -> Floats:

@@ -49,6 +49,7 @@ CELLS = (32, 64)  # of the map, on which places are computed
 AROUND_CELLS = (64, 128)  # on which surroundings are
 PRIOR_SIZE = (256, 512)  # rows, columns of the table of places
 COLOURS = 128  # nodes of the table of colours, along r/(r+g+b) and b/(r+g+b)
+KEPT = 256  # answers that are kept for the next pixels of a cell; a power of two
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,6 +228,26 @@ def members(
 
 
 # Sums may be taken in any order, so that they run in parallel lanes; the order is the same in every run.
+@numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})  # type: ignore[misc,untyped-decorator,unused-ignore]
+def _two_greatest(likely, given, lamp):  # type: ignore[no-untyped-def]
+    """The two lights that have most of a colour, and the first one's share of both; a lamp has its own light alone."""
+    zero, one = np.float32(0.0), np.float32(1.0)
+    best, next_best = 0, 0
+    most, next_most = -one, -one
+    for i in range(given.shape[0]):
+        total = likely[i]
+        if not lamp:
+            total = zero
+            for c in range(given.shape[1]):
+                total += likely[c] * given[i, c]
+        if total > most:
+            next_best, next_most = best, most
+            best, most = i, total
+        elif total > next_most:
+            next_best, next_most = i, total
+    return best, next_best, one if lamp or most <= zero else most / (most + next_most)
+
+
 @numba.njit(cache=True, parallel=True, error_model="numpy", fastmath={"reassoc", "contract"})  # type: ignore[misc,untyped-decorator,unused-ignore]
 def _members(image, shares, colour, place, weights, lamp_above, rank, first, second, weight):  # type: ignore[no-untyped-def]
     height, width = image.shape[:2]
@@ -234,45 +255,36 @@ def _members(image, shares, colour, place, weights, lamp_above, rank, first, sec
     count, ways = shares.shape
     last = colour.shape[0] - 1
     zero, one, huge, nodes = np.float32(0.0), np.float32(1.0), np.float32(3e38), np.float32(colour.shape[0])
-    for y in numba.prange(height):
-        row = place[y * rows // height]
+    for band in numba.prange(rows):
+        top, bottom = (band * height + rows - 1) // rows, ((band + 1) * height + rows - 1) // rows
         given = np.empty((count, ways), np.float32)  # the shares of each light, weighted by place
-        ends, before = 0, -1
-        most_light, next_light, part = np.uint32(0), np.uint32(0), one
-        for x in range(width):
-            r, g, b = max(image[y, x, 0], zero), max(image[y, x, 1], zero), max(image[y, x, 2], zero)
-            whole = r + g + b
-            if not (whole > zero and whole < huge):
-                first[y, x], second[y, x], weight[y, x] = np.uint32(0), np.uint32(0), one
+        # Colours of a cell recur: what was found for one is kept until another cell, or a colour of the same slot, comes.
+        known = np.full(KEPT, -1, np.int64)
+        known_first, known_second = np.empty(KEPT, np.uint32), np.empty(KEPT, np.uint32)
+        known_weight = np.empty(KEPT, np.float32)
+        for cell in range(columns):
+            left, right = (cell * width + columns - 1) // columns, ((cell + 1) * width + columns - 1) // columns
+            if top == bottom or left == right:
                 continue
-            to_node = nodes / whole
-            node_r, node_b = min(int(r * to_node), last), min(int(b * to_node), last)
-            lamp = weights[0] * r + weights[1] * g + weights[2] * b > lamp_above
-            if x >= ends:  # another cell of the table of places
-                cell = x * columns // width
-                ends = ((cell + 1) * width + columns - 1) // columns
-                before = -1
-                for i in range(count):
-                    for c in range(ways):
-                        given[i, c] = row[cell, c] * shares[i, c]
-            what = 2 * (node_r * (last + 1) + node_b) + int(lamp)
-            if what != before:  # neighbours of one colour and cell have one answer
-                before = what
-                likely = colour[node_r, node_b]
-                best, next_best = 0, 0
-                most, next_most = -one, -one
-                for i in range(count):
-                    total = likely[i]
-                    if not lamp:
-                        total = zero
-                        for c in range(ways):
-                            total += likely[c] * given[i, c]
-                    if total > most:
-                        next_best, next_most = best, most
-                        best, most = i, total
-                    elif total > next_most:
-                        next_best, next_most = i, total
-                most_light = np.uint32(rank[best])
-                next_light = most_light if lamp else np.uint32(rank[next_best])
-                part = one if lamp or most <= zero else most / (most + next_most)
-            first[y, x], second[y, x], weight[y, x] = most_light, next_light, part
+            for i in range(count):
+                for c in range(ways):
+                    given[i, c] = place[band, cell, c] * shares[i, c]
+            for y in range(top, bottom):
+                for x in range(left, right):
+                    r, g, b = max(image[y, x, 0], zero), max(image[y, x, 1], zero), max(image[y, x, 2], zero)
+                    whole = r + g + b
+                    if not (whole > zero and whole < huge):
+                        first[y, x], second[y, x], weight[y, x] = np.uint32(0), np.uint32(0), one
+                        continue
+                    to_node = nodes / whole
+                    node_r, node_b = min(int(r * to_node), last), min(int(b * to_node), last)
+                    lamp = weights[0] * r + weights[1] * g + weights[2] * b > lamp_above
+                    what = 2 * ((cell * (last + 1) + node_r) * (last + 1) + node_b) + int(lamp)
+                    slot = (what ^ (what >> 7)) & (KEPT - 1)
+                    if known[slot] != what:
+                        best, next_best, part = _two_greatest(colour[node_r, node_b], given, lamp)
+                        known[slot] = what
+                        known_first[slot] = np.uint32(rank[best])
+                        known_second[slot] = np.uint32(rank[best] if lamp else rank[next_best])
+                        known_weight[slot] = part
+                    first[y, x], second[y, x], weight[y, x] = known_first[slot], known_second[slot], known_weight[slot]

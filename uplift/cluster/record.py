@@ -11,9 +11,9 @@ import numpy.typing as npt
 from uplift.cct import cct_duv, mired, xy_of_rgb
 from uplift.cluster.count import Chosen, weighted_median
 from uplift.cluster.evidence import Evidence, View, daylight
-from uplift.cluster.kmeans import angles, directions, histogram, labelled, squared
-from uplift.cluster.lamps import lamp_colour, without_reflections
-from uplift.cluster.membership import Members, Membership, members, membership
+from uplift.cluster.kmeans import angles, histogram, labelled, squared
+from uplift.cluster.lamps import lamp_colour, lamps_of
+from uplift.cluster.membership import Members, members, membership
 from uplift.sky import Sky
 
 Floats = npt.NDArray[np.float64]
@@ -76,25 +76,10 @@ def mixed(image: Image, view: View, chosen: Chosen, sky: Sky | None, *, matrices
     weights, xyz_from_rgb = matrices
     found, outdoor = chosen.evidence, chosen.outdoor
     count = len(chosen.centres)
-    lamps_only = chosen.centres[: count - (outdoor >= 0)]
-    owner = np.zeros(0, np.int64)
-    if len(found.place):
-        owner = np.argmin(squared(directions(found.rgb), lamps_only), axis=1)
-    colours = chosen.centres.copy()
-    for one in range(len(lamps_only)):
-        colours[one] = lamp_colour(found.rgb[owner == one], found.weight[owner == one])
+    lamps = lamps_of(view, found, chosen.centres, outdoor, weights)
+    owner, evidence = lamps.owner, lamps.evidence
+    final = membership(view, lamps.colours, found, owner, luminance_weights=weights, lamp_above=found.above)
     small = view.rgb.astype(np.float32)
-
-    def tables(lights: Floats) -> Membership:
-        return membership(view, lights, found, owner, luminance_weights=weights, lamp_above=found.above)
-
-    evidence = found.rgb
-    if found.direct and count > 1:
-        before = members(small, tables(colours), view.sky, outdoor)
-        evidence = without_reflections(view, found, owner, colours, before, weights)
-        for one in range(len(lamps_only)):
-            colours[one] = lamp_colour(evidence[owner == one], found.weight[owner == one])
-    final = tables(colours)
     own = members(small, final, view.sky, outdoor)
     light = view.light
     lit = light.ravel() > 0
@@ -170,11 +155,13 @@ def _one(view: View, mine: Bools, colours: Floats, weight: Floats, direct: bool,
     place = _brightest_region(view.luminance, mine)
     if not len(colours):  # a cluster of the paper's metric may hold dark pixels only
         colours, weight, direct = view.rgb[mine], view.light[mine], False
-    inside = np.flatnonzero(mine)
-    rgb, solid_angle = view.rgb.reshape(-1, 3)[inside], view.solid_angle.ravel()[inside]
+    rgb = view.rgb.reshape(-1, 3)
+    own = np.where(
+        mine, view.solid_angle, 0.0
+    ).ravel()  # no gathering of pixels: that costs twice as much as all the rest
     return _Described(
-        mean=solid_angle @ rgb / solid_angle.sum(),
-        brightest=rgb[np.argmax(view.luminance.ravel()[inside])],
+        mean=own @ rgb / own.sum(),
+        brightest=rgb[np.argmax(np.where(mine, view.luminance, -1.0))],
         lamp=lamp_colour(colours, weight),
         direct=direct,
         spread=_spreads(colours, weight, xyz_from_rgb),

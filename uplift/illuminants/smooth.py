@@ -1,8 +1,8 @@
 """The safe answer for a light of unknown kind: a smooth spectrum of its CCT.
 
-Black body below 4500 K, daylight above 5500 K, and between them a mix of both. A smooth spectrum is never far from any
-lamp's: over many lamps it is on average better than no constraint at all, and at worst a fifth off, while a wrong guess at
-the kind of lamp can be seven times as bad.
+Black body below 4500 K, daylight above 5500 K, and between them a mix of both. A smooth spectrum is never far
+from any lamp's: half-way to D65 it had 0.86 times the relighting error of no constraint at all over 195 rooms, and 1.11 at
+worst (`benchmarks.lights --only single`), while a wrong guess at the kind of lamp can have five times that error.
 """
 
 from __future__ import annotations

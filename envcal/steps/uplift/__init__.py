@@ -12,6 +12,7 @@ from envcal.maps import Map
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
 from envcal.steps.uplift.methods import method_of
+from envcal.steps.uplift.mixing import with_mixtures
 from envcal.steps.uplift.tally import Tally
 from envcal.uplift_file import ATTRIBUTE, channels
 
@@ -43,7 +44,9 @@ def uplift(
     _check_same_map(source, clusters, lights)
     seen = observer(*parse_wavelengths(lights.wavelengths), name=lights.observer)
     space = rgb_space(source.space, observer=seen)
-    method = method_of(settings, lights, seen, space)
+    emitting, mixtures = with_mixtures(lights, settings, seen)
+    method = method_of(settings, emitting, seen, space)
+    needed = ["cluster"] if mixtures is None else ["cluster", "second", "weight"]
     attributes = {
         **provenance.attributes(
             "uplift", settings=settings.model_dump(mode="json"), inputs=[source.path, clusters], unit=source.unit
@@ -55,13 +58,15 @@ def uplift(
     tally = Tally(method, space, height)
     rows = max(1, TILE_PIXELS // width)
     with exr.Writer(out, (height, width), channels=channels(method.about), attributes=attributes) as writer:
-        for top, planes in exr.bands(clusters, ["cluster"], rows=rows):
+        for top, planes in exr.bands(clusters, needed, rows=rows):
             labels = planes["cluster"]
-            if int(labels.max()) >= len(lights.lights):
+            most = max(int(planes[name].max()) for name in needed if name != "weight")
+            if most >= len(lights.lights):
                 raise EnvcalError(
-                    f"{clusters}: names cluster {int(labels.max())}, but has {len(lights.lights)} lights. Run `envcal "
-                    f"cluster` again."
+                    f"{clusters}: names cluster {most}, but has {len(lights.lights)} lights. Run `envcal cluster` again."
                 )
+            if mixtures is not None:
+                labels = mixtures.labels(labels, planes["second"], planes["weight"])
             rgb = source.image[top : top + len(labels)]
             solved = method.solve(rgb, labels)
             writer.rows(solved.planes() | exr.rgb_planes(rgb))
