@@ -71,16 +71,16 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
         **provenance.colour_space(provenance.CAMERA_RGB),
         "envcalCamera": camera.model_dump(mode="json"),
     }
-    planes: dict[str, npt.NDArray[Any]] = {**exr.rgb_planes(image), "lost": lost.astype(np.uint32)}
+    planes: dict[str, npt.NDArray[Any]] = {**_views(image), "lost": lost}
     if merged.ghosts is not None:
-        planes["ghost"] = np.ascontiguousarray(merged.ghosts[:, :: merged.ghosts.shape[1] // lost.shape[1]], np.uint32)
+        planes["ghost"] = merged.ghosts[:, :: merged.ghosts.shape[1] // lost.shape[1]]
     if merged.deviation is not None:
         from calibrate.demosaic import spread
 
         sigma = spread(merged.deviation, merged.cfa)
         sigma = sigma if vignetting is None else remove_vignetting(sigma, vignetting)
-        planes |= {f"sigma.{name}": plane for name, plane in exr.rgb_planes(sigma).items()}
-    exr.write(out, planes, attributes=attributes)
+        planes |= {f"sigma.{name}": plane for name, plane in _views(sigma).items()}
+    exr.write(out, planes, attributes=attributes, compression="rle")
     figures = {
         "shot": out.stem,
         "size": [image.shape[1], image.shape[0]],
@@ -206,6 +206,11 @@ def _ghosts(frames: Sequence[MosaicFrame], measured: Measured, settings: MergeSe
     from calibrate.deghost import find_ghosts
 
     return find_ghosts(frames, measured.exposures)
+
+
+def _views(image: npt.NDArray[np.float32]) -> dict[str, npt.NDArray[np.float32]]:
+    """Return the planes of an image without copying them: the writer does so band by band."""
+    return {name: image[..., k] for k, name in enumerate("RGB")}
 
 
 def _of_colours(values: npt.NDArray[np.float64], cfa: str) -> list[float]:
