@@ -40,9 +40,12 @@ _SHUTTER_DENOMINATOR = 20_000
 # Of a masked border, the rows and columns beside the picture may still see some light, the outermost are often empty.
 _INNER_MARGIN, _OUTER_MARGIN = 4, 2
 
-# Mosaics that stay in memory after they were decoded to be checked: 14 bytes a photosite, which with the merge's own 18
-# stays below what writing the picture takes. Longer brackets are decoded again in every pass.
-KEPT_MOSAICS = 7
+# LibRaw's patterns repeat after 2, 6, 8 or 16 photosites.
+_PERIOD = 48
+
+# Of brackets up to this length all mosaics stay in memory after they were decoded to be checked, 2 bytes a photosite each.
+# Longer ones are decoded again whenever they are asked for. Frames that may be moved are there twice while they are merged.
+KEPT_MOSAICS, KEPT_IF_MOVED = 12, 9
 
 _CONVERT = "Convert it to DNG (uncompressed or lossless) with a RAW converter, or take the file out of the bracket"
 
@@ -119,7 +122,7 @@ class RawFrame:
 
 
 def open_bracket(paths: Sequence[Path], *, keep: int = KEPT_MOSAICS) -> list[RawFrame]:
-    """Decode every file once, two at a time, check it, and keep the first `keep` mosaics in memory.
+    """Decode every file once, two at a time, check it, and keep all mosaics in memory if they are no more than `keep`.
 
     Raises
     ------
@@ -127,17 +130,16 @@ def open_bracket(paths: Sequence[Path], *, keep: int = KEPT_MOSAICS) -> list[Raw
         The mistakes of all files, a line each.
     """
 
-    def opened(item: tuple[int, Path]) -> RawFrame | EnvcalError:
-        number, path = item
+    def opened(path: Path) -> RawFrame | EnvcalError:
         try:
             info, mosaic = read_frame(path)
         except EnvcalError as error:
             return error
-        return RawFrame(path, info=info, kept=mosaic if number < keep else None)
+        return RawFrame(path, info=info, kept=mosaic if len(paths) <= keep else None)
 
     # LibRaw lets go of the interpreter while it decodes; more than two at a time would cost memory.
     with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
-        found = list(pool.map(opened, enumerate(paths)))
+        found = list(pool.map(opened, paths))
     mistakes = [str(f) for f in found if isinstance(f, EnvcalError)]
     if mistakes:
         raise EnvcalError("\n".join(mistakes))
@@ -279,8 +281,14 @@ def _pattern(path: Path, raw: Any) -> tuple[str, tuple[int, ...]]:
     elif raw.num_colors == 1:
         return MONOCHROME, (0,)
     else:
-        colours = raw.raw_colors_visible
         side = 6 if raw.raw_pattern is not None and raw.raw_pattern.shape == (6, 6) else 2
+        sizes = raw.sizes
+        colours = np.array(
+            [
+                [raw.raw_color(sizes.top_margin + y, sizes.left_margin + x) for x in range(min(_PERIOD, sizes.width))]
+                for y in range(min(_PERIOD, sizes.height))
+            ]
+        )
         corner = colours[:side, :side]
         repeats = corner.shape == (side, side) and all(
             np.all(colours[r::side, c::side] == corner[r, c]) for r in range(side) for c in range(side)

@@ -36,9 +36,11 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
     from calibrate.lens import remove_vignetting
     from calibrate.lost import lost_share
     from calibrate.merge import measure_bracket, merge_mosaics
-    from envcal.raw import open_bracket
+    from envcal.raw import KEPT_IF_MOVED, KEPT_MOSAICS, open_bracket
 
-    raws = [raw.described(**changes_of(raw.path.name, settings)) for raw in open_bracket(frames)]
+    opened = open_bracket(frames, keep=KEPT_IF_MOVED if settings.align else KEPT_MOSAICS)
+    raws = [raw.described(**changes_of(raw.path.name, settings)) for raw in opened]
+    del opened
     check_bracket([raw.info for raw in raws], mixed_iso=settings.mixed_iso, mixed_aperture=settings.mixed_aperture)
     asked = _asked(settings, raws)
     measured = measure_bracket(raws, asked)
