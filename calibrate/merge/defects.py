@@ -4,7 +4,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit, prange
 
-Plane = Row = npt.NDArray[np.float32]
+Plane = npt.NDArray[np.float32]
+Row = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 # How far a defect stands above the largest, or below the smallest, of its eight neighbours.
@@ -112,14 +113,15 @@ def _known(value: float, ceiling: float) -> float:  # pragma: no cover - compile
 @njit(cache=True, error_model="numpy")
 def _suspect(above: Row, row: Row, below: Row, ceiling: float, out: Mask) -> None:  # pragma: no cover - compiled
     """Mark what is brighter than all eight by the factor, or darker: a short loop that leaves few to look at closely."""
-    for x in range(2, len(row) - 2):
-        value = _known(row[x], ceiling)
+    # Indices that cannot be negative, or the compiler must ask for each whether it counts from the end.
+    for x in range(len(row) - 4):
+        value = _known(row[x + 2], ceiling)
         smallest, largest = np.float32(np.inf), np.float32(-np.inf)
-        for i in range(x - 2, x + 3, 2):
-            up, down = _known(above[i], ceiling), _known(below[i], ceiling)
-            beside = _known(row[i], ceiling) if i != x else up
+        for d in range(0, 5, 2):
+            up, down = _known(above[x + d], ceiling), _known(below[x + d], ceiling)
+            beside = _known(row[x + d], ceiling) if d != 2 else up
             smallest, largest = min(smallest, up, down, beside), max(largest, up, down, beside)
-        out[x] = (value > _FACTOR * largest) | (_FACTOR * value < smallest)
+        out[x + 2] = (value > _FACTOR * largest) | (_FACTOR * value < smallest)
 
 
 @njit(cache=True, parallel=True, error_model="numpy")

@@ -72,14 +72,14 @@ def weigh(
                 n = min(_RUN, (width - start + columns - 1) // columns)
                 first[:n], squares[:n], above[:n], below[:n] = 0.0, 0.0, 0.0, 0.0
                 for k in range(frames - 1, -1, -1):
-                    _take(raw[k, y], start, columns, samples[:n])
+                    _take(raw[k, y, start::columns], samples[:n])
                     clipped[y, k] += _count_from(samples[:n], np.float32(clip[k, p]))
                     if some:
                         _leave_out(skips[k, y >> 1], start, columns, samples[:n])
                     _gather(samples[:n], clip[k, p], black[k, p], span[k, p], light[k, p], first, squares)
                 brightest = _estimate(first[:n], squares, radiance)
                 for k in range(frames):
-                    _take(raw[k, y], start, columns, samples[:n])
+                    _take(raw[k, y, start::columns], samples[:n])
                     if some:
                         _leave_out(skips[k, y >> 1], start, columns, samples[:n])
                     top = (clip[k, p] - black[k, p]) / span[k, p]
@@ -105,9 +105,9 @@ def weigh(
 
 
 @njit(cache=True, error_model="numpy")
-def _take(row: npt.NDArray[np.uint16], start: int, step: int, samples: Plane) -> None:  # pragma: no cover - compiled
+def _take(row: npt.NDArray[np.uint16], samples: Plane) -> None:  # pragma: no cover - compiled
     for i in range(len(samples)):
-        samples[i] = row[start + i * step]
+        samples[i] = row[i]
 
 
 @njit(cache=True, error_model="numpy")
@@ -120,7 +120,7 @@ def _leave_out(
 
 
 @njit(cache=True, error_model="numpy")
-def _count_from(samples: Plane, level: float) -> int:  # pragma: no cover - compiled
+def _count_from(samples: Plane, level: float) -> np.int32:  # pragma: no cover - compiled
     count = np.int32(0)
     for i in range(len(samples)):
         count += np.int32(samples[i] >= level)
@@ -140,19 +140,21 @@ def _gather(
 
 
 @njit(cache=True, error_model="numpy")
-def _estimate(first: Float64, squares: Float64, radiance: Plane) -> float:  # pragma: no cover - compiled
-    brightest = np.float32(0)
+def _estimate(first: Float64, squares: Float64, radiance: Plane) -> np.float32:  # pragma: no cover - compiled
     for i in range(len(first)):
         radiance[i] = max(first[i] / squares[i], 0.0) if squares[i] > 0 else 0.0
-        brightest = max(brightest, radiance[i])
-    return brightest
+    # Bits of numbers that are not negative are in the order of the numbers, and a maximum of integers is vectorised.
+    brightest = np.int32(0)
+    for i in range(len(first)):
+        brightest = max(brightest, np.float32(radiance[i]).view(np.int32))
+    return np.int32(brightest).view(np.float32)
 
 
 @njit(cache=True, error_model="numpy")
 def _weigh_far_from_clipping(
     samples: Plane, clip: float, black: float, unit: float, light: float, shot: float, dark: float,
     radiance: Plane, above: Plane, below: Plane,
-) -> int:  # fmt: skip  # pragma: no cover - compiled
+) -> np.int32:  # fmt: skip  # pragma: no cover - compiled
     """Pass 2 where no sample of the run is near clipping."""
     count = np.int32(0)
     for i in range(len(samples)):
@@ -168,7 +170,7 @@ def _weigh_far_from_clipping(
 def _weigh_near_clipping(
     samples: Plane, clip: float, black: float, span: float, light: float, shot: float, dark: float,
     radiance: Plane, first: Float64, squares: Float64, above: Plane, below: Plane,
-) -> int:  # fmt: skip  # pragma: no cover - compiled
+) -> np.int32:  # fmt: skip  # pragma: no cover - compiled
     """Pass 2: add the samples by inverse variance; frames come from the shortest to the longest.
 
     Whether a sample s near the clipping level is used must not depend on s − r, r being what the other frames expect of
