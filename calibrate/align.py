@@ -13,7 +13,7 @@ Left out: rotation, change of focal length, parallax, rolling shutter; 6×6 patt
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -40,6 +40,11 @@ _KNOWN, FEWEST_TILES, _AGREE, _AGREEING = 0.05, 4, 0.2, 0.6
 
 # A shift is worth it from here on, and if the frames differ less by this share after it.
 _SMALLEST, _GAIN = 0.06, 0.1
+
+# Frames of one scene share its fine structure. A tile tells where both frames have some, of this standard deviation (logarithm;
+# noise has less, see `_means`), and agrees from this correlation on; chance reaches a tenth of it. So many tiles must tell, and so
+# many of them agree.
+_FINE, _STRUCTURE, _ALIKE, _TELLING, _IN_COMMON = 4.0, 0.06, 0.4, 4, 0.2
 
 # Photosites: a remainder below this is not interpolated.
 _NEGLIGIBLE = 0.02
@@ -84,7 +89,7 @@ def find_displacements(frames: Sequence[MosaicFrame], exposures: Sequence[Exposu
     Raises
     ------
     CalibrateError
-        Frames that are no Bayer or monochrome mosaics, or too small to tell.
+        Frames that are no Bayer or monochrome mosaics, too small to tell, or of different scenes.
     """
     info = frames[0].info
     if info.cfa not in (*BAYER_PATTERNS, MONOCHROME):
@@ -106,6 +111,7 @@ def find_displacements(frames: Sequence[MosaicFrame], exposures: Sequence[Exposu
         if before is not None:
             links[before[0], k] = _compare(before[1], image, low=before[2], high=high)
         before = k, image, low, high
+    _refuse_strangers(frames, links)
     middle = (len(order) - 1) // 2
     out: list[Displacement | None] = [None] * len(frames)
     out[order[middle]] = Displacement((0.0, 0.0), False, 0, 1.0, 0.0)
@@ -118,6 +124,19 @@ def find_displacements(frames: Sequence[MosaicFrame], exposures: Sequence[Exposu
             moved = bool(np.hypot(rows, columns) >= 2 * _SMALLEST)
             out[other] = Displacement((rows, columns), moved, link.tiles, link.agreement, link.gain)
     return tuple(d for d in out if d is not None)
+
+
+def _refuse_strangers(frames: Sequence[MosaicFrame], links: Mapping[tuple[int, int], "_Link"]) -> None:
+    """Raise for every pair of neighbours that have structure, but none in common."""
+    mistakes = [
+        f"{frames[other].info.name}: has nothing in common with {frames[one].info.name}, its neighbour in exposure: "
+        f"{link.alike} of {link.told} parts of the picture agree at any shift, at least {_IN_COMMON:.0%} are expected. "
+        "Take the one that shows something else out of the bracket, or set `merge.align: false`."
+        for (one, other), link in links.items()
+        if link.told >= _TELLING and link.alike < _IN_COMMON * link.told
+    ]
+    if mistakes:
+        raise CalibrateError("\n".join(mistakes))
 
 
 def shifted(mosaic: Counts, shift: Shift, *, clip: npt.NDArray[np.float64], step: int) -> Counts:
@@ -177,12 +196,14 @@ class _Link:
     tiles: int
     agreement: float
     gain: float
+    told: int
+    alike: int
 
 
 def _compare(one: Plane, other: Plane, *, low: float, high: float) -> _Link:
     """Return the shift of `other` against `one`: other(x + shift) = one(x)."""
     if high <= 1.5 * low:
-        return _Link((0.0, 0.0), False, 0, 0.0, 0.0)
+        return _Link((0.0, 0.0), False, 0, 0.0, 0.0, 0, 0)
     a, b = (
         cv2.GaussianBlur(np.log(np.clip(image, np.float32(low), np.float32(high))), (0, 0), _BLUR)
         for image in (one, other)
@@ -190,14 +211,19 @@ def _compare(one: Plane, other: Plane, *, low: float, high: float) -> _Link:
     start = _coarse(a, b)
     height, width = a.shape
     tile = min(_TILE, height // 2, width // 2)
-    found = []
+    fine = [image - cv2.GaussianBlur(image, (0, 0), _FINE) for image in (a, b)]
+    found, told, alike = [], 0, 0
     for y in np.linspace(0, height - tile, _TILES).astype(int):
         for x in np.linspace(0, width - tile, _TILES).astype(int):
-            spoken = _refine(a, b, (int(y), int(x)), tile, start)
+            corner = int(y), int(x)
+            spoken = _refine(a, b, corner, tile, start)
             if spoken is not None:
-                found.append((int(y), int(x), spoken))
+                found.append((*corner, spoken))
+            likeness = [_likeness(*fine, corner, tile, at) for at in (spoken or start, (0.0, 0.0))]
+            told += likeness[0] is not None
+            alike += any(value is not None and value >= _ALIKE for value in likeness)
     if len(found) < FEWEST_TILES:
-        return _Link((0.0, 0.0), False, len(found), 0.0, 0.0)
+        return _Link((0.0, 0.0), False, len(found), 0.0, 0.0, told, alike)
     shifts = np.array([shift for *_, shift in found])
     middle = np.median(shifts, axis=0)
     near = np.hypot(*(shifts - middle).T) <= _AGREE
@@ -209,7 +235,7 @@ def _compare(one: Plane, other: Plane, *, low: float, high: float) -> _Link:
         gains.append(1.0 - moved / still if still > 0 else 0.0)
     gain = float(np.median(gains))
     proven = agreement >= _AGREEING and bool(np.hypot(*middle) >= _SMALLEST) and gain >= _GAIN
-    return _Link((float(middle[0]), float(middle[1])), proven, len(found), agreement, gain)
+    return _Link((float(middle[0]), float(middle[1])), proven, len(found), agreement, gain, told, alike)
 
 
 def _coarse(a: Plane, b: Plane) -> Shift:
@@ -224,6 +250,16 @@ def _coarse(a: Plane, b: Plane) -> Shift:
 def _cut(image: Plane, corner: tuple[int, int], tile: int, shift: Shift) -> Plane:
     centre = (corner[1] + shift[1] + (tile - 1) / 2, corner[0] + shift[0] + (tile - 1) / 2)
     return np.asarray(cv2.getRectSubPix(image, (tile, tile), centre), np.float32)
+
+
+def _likeness(a: Plane, b: Plane, corner: tuple[int, int], tile: int, shift: Shift) -> float | None:
+    """Return the correlation of a tile with what stands in its place, None where one of the two is without structure."""
+    part = a[corner[0] : corner[0] + tile, corner[1] : corner[1] + tile].ravel()
+    moved = _cut(b, corner, tile, shift).ravel()
+    spread = float(part.std()), float(moved.std())
+    if min(spread) < _STRUCTURE:
+        return None
+    return float(np.mean((part - part.mean()) * (moved - moved.mean()))) / (spread[0] * spread[1])
 
 
 def _difference(a: Plane, b: Plane, corner: tuple[int, int], tile: int, shift: Shift) -> float:
