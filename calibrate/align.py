@@ -24,9 +24,9 @@ from numba import njit, prange
 from calibrate import CalibrateError
 from calibrate.exposure import BAYER_PATTERNS, MONOCHROME, FrameInfo
 from calibrate.merge.measure import decoded
-from calibrate.merge.records import Counts, Exposure, MosaicFrame
+from calibrate.merge.quads import quads_of
+from calibrate.merge.records import Counts, Exposure, MosaicFrame, Plane
 
-Plane = npt.NDArray[np.float32]
 Shift = tuple[float, float]
 
 # All lengths here are in means of 2×2, half the scale of the photosites, unless they say otherwise.
@@ -42,7 +42,7 @@ _KNOWN, FEWEST_TILES, _AGREE, _AGREEING = 0.05, 4, 0.2, 0.6
 _SMALLEST, _GAIN = 0.06, 0.1
 
 # Frames of one scene share its fine structure. A tile tells where both frames have some, of this standard deviation (logarithm;
-# noise has less, see `_means`), and agrees from this correlation on; chance reaches a tenth of it. So many tiles must tell, and so
+# noise has less, see `_seen`), and agrees from this correlation on; chance reaches a tenth of it. So many tiles must tell, and so
 # many of them agree.
 _FINE, _STRUCTURE, _ALIKE, _TELLING, _IN_COMMON = 4.0, 0.06, 0.4, 4, 0.2
 
@@ -107,7 +107,7 @@ def find_displacements(frames: Sequence[MosaicFrame], exposures: Sequence[Exposu
     before: tuple[int, Plane, float, float] | None = None
     for k in order:
         e = exposures[k]
-        image, low, high = _means(decoded(frames[k]), e)
+        image, low, high = _seen(frames[k], e)
         if before is not None:
             links[before[0], k] = _compare(before[1], image, low=before[2], high=high)
         before = k, image, low, high
@@ -168,25 +168,15 @@ def _catmull_rom(at: float) -> npt.NDArray[np.float64]:
     return five if at >= 0 else five[::-1].copy()
 
 
-def _means(mosaic: Counts, e: Exposure) -> tuple[Plane, float, float]:
+def _seen(frame: MosaicFrame, e: Exposure) -> tuple[Plane, float, float]:
     """Return radiances of 2×2 photosites, clipped ones at the ceiling, and the range that the frame sees."""
-    height, width = mosaic.shape[0] // 2 * 2, mosaic.shape[1] // 2 * 2
-    total = np.zeros((height // 2, width // 2), np.float32)
-    over = np.zeros(total.shape, np.bool_)
-    scale = 0.0
-    for k in range(4):
-        p = k % len(e.clip)
-        part = mosaic[k // 2 : height : 2, k % 2 : width : 2]
-        total += part.astype(np.float32) - np.float32(e.black[p])
-        over |= part >= e.clip[p]
-        scale += float(e.light[p] * e.span[p])
+    quads = quads_of(decoded(frame), e)
     high = float(np.min((e.clip - e.black) / (e.light * e.span)))
-    total /= np.float32(scale)
-    total[over] = high
-    noise = 2.0 * e.read_noise_e / e.gain_e_per_dn / scale
+    quads.mean[quads.clipped > 0] = high
+    noise = 2.0 * e.read_noise_e / e.gain_e_per_dn / quads.scale
     # Where shot noise is a tenth of the signal.
-    shot = 100.0 / (e.gain_e_per_dn * scale)
-    return total, max(10.0 * noise, shot), high
+    shot = 100.0 / (e.gain_e_per_dn * quads.scale)
+    return quads.mean, max(10.0 * noise, shot), high
 
 
 @dataclass(frozen=True, slots=True)

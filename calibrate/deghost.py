@@ -20,9 +20,9 @@ import numpy.typing as npt
 from calibrate import CalibrateError
 from calibrate.exposure import BAYER_PATTERNS, MONOCHROME
 from calibrate.merge.measure import decoded
-from calibrate.merge.records import Counts, Exposure, MosaicFrame
+from calibrate.merge.quads import quads_of
+from calibrate.merge.records import Exposure, MosaicFrame, Plane
 
-Plane = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.uint8]
 
 _WINDOW = 5
@@ -77,7 +77,7 @@ def find_ghosts(frames: Sequence[MosaicFrame], exposures: Sequence[Exposure]) ->
     known: npt.NDArray[np.bool_] | None = None
     source: Mask | None = None
     for k in order[::-1]:
-        mean, var, valid, _ = _means(decoded(frames[k]), exposures[k])
+        mean, var, valid, _ = _seen(frames[k], exposures[k])
         if truth is None:
             if valid.mean() < 1.0 - _CLIPPED and k != order[0]:
                 continue
@@ -96,7 +96,7 @@ def find_ghosts(frames: Sequence[MosaicFrame], exposures: Sequence[Exposure]) ->
     for k in order:
         if k == reference and bool((source == k).all()):
             continue
-        mean, var, valid, partly = _means(decoded(frames[k]), exposures[k])
+        mean, var, valid, partly = _seen(frames[k], exposures[k])
         compared = (valid | _outshines(mean, var, truth, variance, slope)) & known & (source != k)
         moved = _contradicts(mean, var, truth, variance, slope, compared)
         # What a frame itself vouches for is not left out of it.
@@ -109,28 +109,14 @@ def find_ghosts(frames: Sequence[MosaicFrame], exposures: Sequence[Exposure]) ->
     return Ghosts(tuple(masks), reference, tuple(float(m.mean()) for m in masks))
 
 
-def _means(mosaic: Counts, e: Exposure) -> tuple[Plane, Plane, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+def _seen(frame: MosaicFrame, e: Exposure) -> tuple[Plane, Plane, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
     """Return mean radiance of 2×2 photosites, its variance by the noise model, where none clips, and where some do."""
-    height, width = mosaic.shape
-    if height % 2 or width % 2:
-        mosaic = np.pad(mosaic, ((0, height % 2), (0, width % 2)), mode="edge")
-    total = np.zeros((mosaic.shape[0] // 2, mosaic.shape[1] // 2), np.float32)
-    valid, all_clip = np.ones(total.shape, np.bool_), np.ones(total.shape, np.bool_)
-    scale = 0.0
-    for k in range(4):
-        p = k % len(e.clip)
-        part = mosaic[k // 2 :: 2, k % 2 :: 2]
-        total += part.astype(np.float32) - np.float32(e.black[p])
-        below = part < e.clip[p]
-        valid &= below
-        all_clip &= ~below
-        scale += float(e.light[p] * e.span[p])
+    quads = quads_of(decoded(frame), e)
     read2 = 4.0 * (e.read_noise_e / e.gain_e_per_dn) ** 2
     # The square root of a few counts is not known from them: smoothed, as neighbours are alike.
-    expected = np.maximum(cv2.blur(total, (3, 3)), np.float32(0))
-    var = (np.float32(read2) + expected / np.float32(e.gain_e_per_dn)) / np.float32(scale**2)
-    total /= np.float32(scale)
-    return total, var.astype(np.float32), valid, ~valid & ~all_clip
+    expected = np.maximum(cv2.blur(quads.mean, (3, 3)), np.float32(0))
+    var = np.float32(read2 / quads.scale**2) + expected * np.float32(1.0 / (e.gain_e_per_dn * quads.scale))
+    return quads.mean, np.asarray(var, np.float32), quads.clipped == 0, (quads.clipped > 0) & (quads.clipped < 4)
 
 
 def _slope(image: Plane) -> Plane:
