@@ -23,9 +23,9 @@ from numba import njit, prange
 
 from calibrate import CalibrateError
 from calibrate.exposure import BAYER_PATTERNS, MONOCHROME, FrameInfo
-from calibrate.merge.measure import decoded
 from calibrate.merge.quads import quads_of
 from calibrate.merge.records import Counts, Exposure, MosaicFrame, Plane
+from calibrate.merge.survey import decoded
 
 Shift = tuple[float, float]
 
@@ -201,7 +201,7 @@ def _compare(one: Plane, other: Plane, *, low: float, high: float) -> _Link:
     start = _coarse(a, b)
     height, width = a.shape
     tile = min(_TILE, height // 2, width // 2)
-    fine = [image - cv2.GaussianBlur(image, (0, 0), _FINE) for image in (a, b)]
+    fine_a, fine_b = (image - cv2.GaussianBlur(image, (0, 0), _FINE) for image in (a, b))
     found, told, alike = [], 0, 0
     for y in np.linspace(0, height - tile, _TILES).astype(int):
         for x in np.linspace(0, width - tile, _TILES).astype(int):
@@ -209,7 +209,7 @@ def _compare(one: Plane, other: Plane, *, low: float, high: float) -> _Link:
             spoken = _refine(a, b, corner, tile, start)
             if spoken is not None:
                 found.append((*corner, spoken))
-            likeness = [_likeness(*fine, corner, tile, at) for at in (spoken or start, (0.0, 0.0))]
+            likeness = [_likeness(fine_a, fine_b, corner, tile, at) for at in (spoken or start, (0.0, 0.0))]
             told += likeness[0] is not None
             alike += any(value is not None and value >= _ALIKE for value in likeness)
     if len(found) < FEWEST_TILES:

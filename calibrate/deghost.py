@@ -19,9 +19,9 @@ import numpy.typing as npt
 
 from calibrate import CalibrateError
 from calibrate.exposure import BAYER_PATTERNS, MONOCHROME
-from calibrate.merge.measure import decoded
 from calibrate.merge.quads import quads_of
 from calibrate.merge.records import Exposure, MosaicFrame, Plane
+from calibrate.merge.survey import decoded
 
 Mask = npt.NDArray[np.uint8]
 

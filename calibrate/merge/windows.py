@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from calibrate.merge.measure import decoded
 from calibrate.merge.records import Counts, Exposure, Float64, MosaicFrame, Plane
+from calibrate.merge.survey import decoded
 from calibrate.merge.weights import weigh
 
 # So many mosaics at most are in memory as a whole: 24 bytes a photosite. Longer brackets are weighed in windows of rows, for

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from envcal import exr, provenance
+from envcal.atomic import digest
 from envcal.config import MergeSettings
 from envcal.errors import EnvcalError
 from envcal.profile import Camera
@@ -42,6 +44,10 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
     raws = [raw.described(**changes_of(raw.path.name, settings)) for raw in opened]
     del opened
     check_bracket([raw.info for raw in raws], mixed_iso=settings.mixed_iso, mixed_aperture=settings.mixed_aperture)
+    # The merge uses one core at times; the files are read for their digests meanwhile.
+    pool = ThreadPoolExecutor(1)
+    digests = pool.submit(lambda: {path: digest(path) for path in frames})
+    pool.shutdown(wait=False)
     asked = _asked(settings, raws)
     measured = measure_bracket(raws, asked)
     placed, displaced, moves = _placed(raws, measured, settings)
@@ -69,7 +75,9 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
         image = remove_vignetting(image, vignetting)
     camera = Camera(model=info.camera, lens=info.lens, iso=info.iso, f_number=info.f_number)
     attributes = {
-        **provenance.attributes("merge", settings=settings.model_dump(mode="json"), inputs=frames),
+        **provenance.attributes(
+            "merge", settings=settings.model_dump(mode="json"), inputs=frames, digests=digests.result()
+        ),
         **provenance.colour_space(provenance.CAMERA_RGB),
         "envcalCamera": camera.model_dump(mode="json"),
     }
