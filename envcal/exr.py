@@ -82,7 +82,9 @@ class Writer:
         height, width = self.size
         self._latlong = bool(self._attributes.pop("envmap", False))
         header = OpenEXR.Header(width, height)
-        header["compression"] = Imath.Compression(getattr(Imath.Compression, f"{self._compression.upper()}_COMPRESSION"))
+        header["compression"] = Imath.Compression(
+            getattr(Imath.Compression, f"{self._compression.upper()}_COMPRESSION")
+        )
         header["channels"] = {
             name: Imath.Channel(Imath.PixelType(getattr(Imath.PixelType, _PIXEL_TYPES[kind])))
             for name, kind in self.channels.items()
