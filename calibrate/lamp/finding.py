@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calibrate import CalibrateError
+from calibrate.lamp.curve import uv_from_xyz
 from calibrate.lamp.reading import MOST_CLIPPED, Image, Lamp, Mask, Points, read_region
 from calibrate.lamp.regions import overlap, regions_of
 
@@ -19,6 +20,7 @@ def find_lamp(
     *,
     chart_corners: Points,
     xyz_from_rgb: npt.NDArray[np.float64],
+    expected_rgb: npt.NDArray[np.float64] | None = None,
     clipped: Mask | None = None,
     latlong: bool = False,
 ) -> Lamp:
@@ -30,6 +32,9 @@ def find_lamp(
         Shape (4, 2), px. The chart itself is left out, and gives the scale of sizes and distances.
     xyz_from_rgb
         Shape (3, 3). The working space.
+    expected_rgb
+        Shape (3,). Working RGB, of any scale, that the lamp should have by what is known of the camera. Without it the
+        lamp may have the colour of D65 seen from any light, as windows often do.
     clipped
         Shape (H, W). Pixels that are clipped; NaN counts as clipped as well.
     latlong
@@ -49,7 +54,9 @@ def find_lamp(
     if clipped is not None:
         lost = lost | np.roll(clipped, shift, axis=1)
     offset = np.array([float(shift), 0.0])
-    regions = regions_of(seen, lost, chart + offset, np.asarray(xyz_from_rgb, dtype=np.float64))
+    to_xyz = np.asarray(xyz_from_rgb, dtype=np.float64)
+    expected_uv = None if expected_rgb is None else uv_from_xyz(to_xyz @ np.asarray(expected_rgb, dtype=np.float64))
+    regions = regions_of(seen, lost, chart + offset, to_xyz, expected_uv)
     usable = [region for region in regions if region.clipped <= MOST_CLIPPED and region.score >= _LEAST_SCORE]
     spoilt = [region for region in regions if region.clipped > MOST_CLIPPED and region.score >= _LEAST_SCORE]
     best = max(usable, key=lambda region: region.score, default=None)

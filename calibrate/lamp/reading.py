@@ -16,6 +16,8 @@ Image = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 MOST_CLIPPED: Final = 0.3
+# Of the light on the chart, what an unlit module may reflect: opal covers and white circuit boards about this.
+MOST_REFLECTED: Final = 0.7
 _FEW_PIXELS: Final = 60
 _FEWEST_PIXELS: Final = 4
 # Scatter of u'v' inside a lamp, of one channel's noise or so; an evenly lit module stays below 0.005.
@@ -45,8 +47,8 @@ class Lamp:
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """An area of an image: its outline, the pixels `inside` a box whose first pixel is `origin` (x, y), a score and how much
-    of it is clipped.
+    """An area of an image: its outline, the pixels `inside` a box whose first pixel is `origin` (x, y), a score, how much
+    of it is clipped, and its mean XYZ where anything of it is not.
     """
 
     polygon: Points
@@ -54,6 +56,7 @@ class Region:
     origin: tuple[int, int]
     score: float
     clipped: float
+    xyz: npt.NDArray[np.float64] | None = None
 
 
 def measure_lamp(
