@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from envcal import exr, provenance
 from envcal.cli import SPACES, STAGE_NAMES, main
-from envcal.config import WorkingSpace
+from envcal.config import MergeSettings, WorkingSpace, stage_settings
 from envcal.stages import STAGES
 
 
@@ -121,22 +121,66 @@ def test_ctrl_c_is_a_stop_and_no_mistake(tmp_path, monkeypatch):
 def test_compiled_code_goes_to_a_folder_of_this_process_where_nothing_else_can_be_written(monkeypatch):
     from pathlib import Path
 
-    from envcal import cli
+    from envcal.cli import group
 
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    monkeypatch.setattr(cli.os, "access", lambda *_: False)
-    cli._let_numba_cache()
-    folder = Path(cli.os.environ["NUMBA_CACHE_DIR"])
+    monkeypatch.setattr(group.os, "access", lambda *_: False)
+    group._let_numba_cache()
+    folder = Path(group.os.environ["NUMBA_CACHE_DIR"])
     assert folder.is_dir()
     assert list(folder.iterdir()) == []
-    assert folder.stat().st_mode & 0o077 == 0 or cli.os.name == "nt"
+    assert folder.stat().st_mode & 0o077 == 0 or group.os.name == "nt"
     folder.rmdir()
     monkeypatch.delenv("NUMBA_CACHE_DIR")
     monkeypatch.undo()
-    cli._let_numba_cache()
+    group._let_numba_cache()
 
 
 def test_a_report_without_a_run_is_refused(tmp_path):
     done = envcal("report", tmp_path)
     assert done.exit_code == 1
     assert "no finished run" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("merge", "a.dng", "--set", "aling=true"), "--set aling=true: aling: is not a setting; did you mean `align`?"),
+        (("merge", "a.dng", "--set", "merge.align=1.5"), "--set merge.align=1.5: align: "),
+        (("merge", "a.dng", "--set", "exposures={b.dng: 0.1}"), "merge.exposures.b.dng: no frame of any shot"),
+        (("correct", "a.exr", "--set", "fit=cubic"), "--set fit=cubic: fit: is 'cubic'; it can be 'linear'"),
+        (("correct", "a.exr", "--set", "chart=auto", "--chart", "1,1,2,1,2,2,1,2"), "is also given as an option"),
+        (("balance", "a.exr", "--set", "transform"), "expected key.key=value"),
+        (("uplift", "a.exr", "--method", "scaled", "--set", "method=lattice"), "--set method: is also given"),
+    ],
+)
+def test_a_stage_refuses_a_setting_as_the_pipeline_does(tmp_path, arguments, message):
+    done = envcal(*arguments, "-o", tmp_path / "out.exr")
+    assert done.exit_code == 1
+    assert message in done.stderr
+
+
+def test_a_stage_takes_any_of_its_settings():
+    settings = stage_settings(MergeSettings, "merge", ["align=true", "merge.lost=[1, 2, 3]"], dark_frame=None)
+    assert settings.align is True
+    assert settings.lost == (1.0, 2.0, 3.0)
+    assert settings.dark_frame is None
+
+
+def test_lights_and_profiles_of_a_stage_are_files_of_their_own(tmp_path):
+    source = tmp_path / "map.exr"
+    exr.write(source, exr.rgb_planes(np.ones((16, 32, 3), np.float32)), attributes={})
+    done = envcal("cluster", source, "-o", tmp_path / "out.exr", "--set", "lights=[{at: [0, 0], type: led}]")
+    assert done.exit_code == 2
+    assert "--lights" in done.stderr
+
+
+def test_check_finds_an_output_that_cannot_be_a_folder(tmp_path):
+    (tmp_path / "taken").write_text("a file")
+    (tmp_path / "f1.dng").write_bytes(b"no photograph")
+    pipeline = tmp_path / "pipeline.yaml"
+    pipeline.write_text("capture: {reference: f1.dng}\noutput: taken/here\n")
+    done = envcal("check", pipeline)
+    assert done.exit_code == 1
+    assert f"output: {tmp_path / 'taken'} is a file; give the name of a folder" in done.stderr
+    assert "f1.dng" in done.stderr

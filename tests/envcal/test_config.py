@@ -68,6 +68,18 @@ def test_every_mistake_is_told_at_once_with_its_line(tmp_path):
         ("- a\n- b\n", "holds no settings"),
         ("capture: {reference: a.dng}\ncapture: {reference: b.dng}\n", ":2: is not YAML: found duplicate key"),
         ("capture: {reference: [\n", "is not YAML"),
+        (
+            "capture:\n\treference: a\n",
+            ":2: is not YAML: found character '\\t' that cannot start any token. Indent with",
+        ),
+        (
+            "capture:\n  reference: a\n   output: b\n",
+            ":3: is not YAML: mapping values are not allowed here. Is this line",
+        ),
+        ("capture:\n  reference: a\n output: b\n", "indented by one space too many or too few?"),
+        ("capture:\n  reference: a\noutput\nmerge:\n  a: 1\n", "with a space after the colon"),
+        ("capture:\n  reference: [a\n", "A bracket is opened and not closed"),
+        ('output: "a\n', "A quote is opened and not closed"),
         ("capture: {reference: '*.nef'}\n", ":1: capture.reference: no file matches '*.nef'"),
         ("merge: {}\n", "capture: is missing"),
         ("capture: {reference: f1.dng, environment: {reference: f2.dng}}\n", "is not `reference`"),
