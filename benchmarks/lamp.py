@@ -78,9 +78,7 @@ def look(scene: LampScene, made: Calibrated, xyz_from_rgb: Float64, *, known: bo
 
     expected = made.matrix @ scene.camera_d65 if known else None
     try:
-        lamp = find_lamp(
-            made.image, chart_corners=made.corners, xyz_from_rgb=xyz_from_rgb, expected_rgb=expected
-        )
+        lamp = find_lamp(made.image, chart_corners=made.corners, xyz_from_rgb=xyz_from_rgb, expected_rgb=expected)
     except CalibrateError as error:
         return "refused", float("nan"), str(error)
     said = " / ".join(lamp.warnings)

@@ -113,7 +113,9 @@ def cameras() -> tuple[tuple[str, Float64], ...]:
     path = Path(folder) / "camera_sensitivities.npz" if folder else None
     if path is not None and path.is_file():
         data = np.load(path)
-        known += [(str(name), np.asarray(ssf, np.float64).T) for name, ssf in zip(data["camera"], data["ssf"], strict=True)]
+        known += [
+            (str(name), np.asarray(ssf, np.float64).T) for name, ssf in zip(data["camera"], data["ssf"], strict=True)
+        ]
     return tuple(known)
 
 
@@ -121,7 +123,9 @@ def cameras() -> tuple[tuple[str, Float64], ...]:
 def published_d65(name: str) -> Float64:
     """Return camera RGB [3] of D65 by a 3×3 matrix from XYZ, fitted as makers of converters do, green 1."""
     sensitivities = dict(cameras())[name]
-    lit = np.concatenate([np.ones((1, 81)), spectra.chart_reflectances(), spectra.colour_samples()]) * spectra.lamp("D65")
+    lit = np.concatenate([np.ones((1, 81)), spectra.chart_reflectances(), spectra.colour_samples()]) * spectra.lamp(
+        "D65"
+    )
     matrix = np.linalg.lstsq(spectra.xyz_of(lit), lit @ sensitivities.T, rcond=None)[0].T
     seen = matrix @ spectra.xyz_of(lit[0])
     return np.asarray(seen / seen[1])
@@ -151,7 +155,9 @@ class _Canvas:
         part = self.layers[low[1] : high[1], low[0] : high[0]]
         if layers.ndim == 4:
             layers = cv2.resize(
-                np.asarray(layers, np.float32).reshape(*layers.shape[:2], 12), (int(w), int(h)), interpolation=cv2.INTER_LINEAR
+                np.asarray(layers, np.float32).reshape(*layers.shape[:2], 12),
+                (int(w), int(h)),
+                interpolation=cv2.INTER_LINEAR,
             ).reshape(h, w, 4, 3)
         part *= 1 - cover[..., None, None]
         part += cover[..., None, None] * np.asarray(layers, np.float32)
@@ -222,7 +228,9 @@ def lamp_scene(seed: int, *, lamp: bool = True) -> LampScene:
     across = float(np.exp(rng.uniform(np.log(120), np.log(300))))
     corners = _chart_place(rng, size, across)
     _furnish(stage, canvas, across)
-    others = [] if lamp and rng.random() < 0.15 else _distract(stage, canvas, across, corners, at_least=0 if lamp else 1)
+    others = (
+        [] if lamp and rng.random() < 0.15 else _distract(stage, canvas, across, corners, at_least=0 if lamp else 1)
+    )
     _draw_chart(stage, canvas, corners)
     shows = place = None
     facts: dict[str, float] = {"across": across}
@@ -252,7 +260,9 @@ def lamp_scene(seed: int, *, lamp: bool = True) -> LampScene:
     )
     camera_d65 = published_d65(name) * np.exp(rng.normal(0, _MATRIX_ERROR, 3))
     what = f"{kind}, {first}" + (f" and {second}" if second != first else "") + f", {name}"
-    return LampScene(radiance, corners, shows, place, camera_lamp, stops, readable, camera_d65, what, tuple(others), facts)
+    return LampScene(
+        radiance, corners, shows, place, camera_lamp, stops, readable, camera_d65, what, tuple(others), facts
+    )
 
 
 def _chart_place(rng: np.random.Generator, size: tuple[int, int], across: float) -> Float64:
@@ -279,13 +289,17 @@ def _furnish(stage: _Stage, canvas: _Canvas, across: float) -> None:
 
 def _draw_chart(stage: _Stage, canvas: _Canvas, corners: Float64) -> None:
     patches = spectra.chart_reflectances()
+    border = 0.2 * float(np.hypot(*(corners[1] - corners[0])))
+    low = np.maximum(np.floor(corners.min(axis=0) - border).astype(int), 0)
+    high = np.minimum(np.ceil(corners.max(axis=0) + border).astype(int), canvas.size[::-1])
+    part = canvas.layers[low[1] : high[1], low[0] : high[0]]
     for k, light in enumerate(stage.lights):
         colours = np.array([stage.seen(patch * light) for patch in patches])
         texture = chart_texture(colours, part=1.0, frame=0.04)
-        shown, cover = warped(texture, corners, canvas.size)
-        canvas.layers[:, :, k] *= 1 - cover[..., None]
-        canvas.layers[:, :, k] += shown
-        canvas.layers[:, :, 3] *= (1 - cover[..., None]) if k == 0 else 1
+        shown, cover = warped(texture, corners - low, (part.shape[0], part.shape[1]))
+        part[:, :, k] *= 1 - cover[..., None]
+        part[:, :, k] += shown
+        part[:, :, 3] *= (1 - cover[..., None]) if k == 0 else 1
 
 
 def _distract(
@@ -339,9 +353,7 @@ def _window(stage: _Stage, canvas: _Canvas, centre: Float64, mm: float, *, singl
     turn = rng.normal(0, 0.1)
     frame = stage.reflecting(np.full(81, rng.uniform(0.05, 0.85)))
     gap = rng.uniform(20, 60)
-    canvas.put(
-        _quad(centre, (columns * (pane[0] + gap) + gap) * mm, (rows * (pane[1] + gap) + gap) * mm, turn), frame
-    )
+    canvas.put(_quad(centre, (columns * (pane[0] + gap) + gap) * mm, (rows * (pane[1] + gap) + gap) * mm, turn), frame)
     horizon = rng.uniform(0.2, 0.9)
     c, s = np.cos(turn), np.sin(turn)
     for j in range(rows):
@@ -409,7 +421,11 @@ def _draw_lamp(
     careless = rng.random() < 0.1
     for _ in range(300):
         turn = rng.choice([0.0, np.pi / 2]) + rng.normal(0, 0.15) if rng.random() < 0.7 else rng.uniform(0, np.pi)
-        outline = _disc(np.zeros(2), thick * mm, float(rng.uniform(0.75, 1.0)), turn) if round_one else _quad(np.zeros(2), thick * mm, long * mm, turn)
+        outline = (
+            _disc(np.zeros(2), thick * mm, float(rng.uniform(0.75, 1.0)), turn)
+            if round_one
+            else _quad(np.zeros(2), thick * mm, long * mm, turn)
+        )
         place = rng.random(2) * (width, height)
         if near:
             place = corners.mean(axis=0) + rng.normal(0, 0.75 * across, 2)
@@ -431,7 +447,9 @@ def _draw_lamp(
     if bezel:
         centre = best.mean(axis=0)
         reach = np.hypot(*(best - centre).T).mean()
-        canvas.put(centre + (best - centre) * (1 + bezel / reach), stage.reflecting(np.full(81, rng.uniform(0.03, 0.8))))
+        canvas.put(
+            centre + (best - centre) * (1 + bezel / reach), stage.reflecting(np.full(81, rng.uniform(0.03, 0.8)))
+        )
     grid = 48
     y, x = (np.mgrid[:grid, :grid] + 0.5) / grid * 2 - 1
     along = y if strip else np.hypot(x, y) / np.sqrt(2)
@@ -473,9 +491,7 @@ def _gap(one: Float64, other: Float64) -> float:
     return float(min(distances))
 
 
-def _lit(
-    stage: _Stage, canvas: _Canvas, corners: Float64, lamp_at: Float64, mixed: bool, *, spill: float
-) -> Image:
+def _lit(stage: _Stage, canvas: _Canvas, corners: Float64, lamp_at: Float64, mixed: bool, *, spill: float) -> Image:
     """Add up the layers under their lights: the first falls off over the picture, the second comes from a side."""
     rng, (height, width) = stage.rng, canvas.size
     y, x = np.mgrid[:height, :width].astype(np.float32)
@@ -488,7 +504,9 @@ def _lit(
 
     first = slope(float(rng.uniform(0, 0.8)))
     second = slope(float(rng.uniform(0, 2.0))) * (float(rng.uniform(0.02, 0.4)) if mixed else 0.0)
-    image = canvas.layers[:, :, 0] * first[..., None] + canvas.layers[:, :, 1] * second[..., None] + canvas.layers[:, :, 3]
+    image = (
+        canvas.layers[:, :, 0] * first[..., None] + canvas.layers[:, :, 1] * second[..., None] + canvas.layers[:, :, 3]
+    )
     if spill:
         away = np.hypot(x - lamp_at[0], y - lamp_at[1]) / width
         share = spill * float(rng.uniform(0, 0.05)) / (1 + (away / 0.05) ** 2)
@@ -498,7 +516,8 @@ def _lit(
 
 def _through_lens(rng: np.random.Generator, image: Image) -> Image:
     blurred = cv2.GaussianBlur(image, (0, 0), float(rng.uniform(0.4, 0.9)))
-    veil = cv2.GaussianBlur(image, (0, 0), 40.0)
+    small = cv2.resize(image, None, fx=0.125, fy=0.125, interpolation=cv2.INTER_AREA)
+    veil = cv2.resize(cv2.GaussianBlur(small, (0, 0), 5.0), image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     share = np.float32(rng.uniform(0.0, 0.01))
     return np.asarray((1 - share) * blurred + share * veil, np.float32)
 
@@ -557,5 +576,3 @@ def calibrated(scene: LampScene, *, seed: int, xyz_from_rgb: Float64) -> Calibra
     patches = measure_patches(image, chart.quads)
     fit = fit_matrix(patches.rgb, chart_reference("BabelColor Average"), rgb_from_xyz=np.linalg.inv(xyz_from_rgb))
     return Calibrated(apply_matrix(image, fit.matrix), corners, fit.matrix)
-
-

@@ -25,6 +25,10 @@ from calibrate.exposure import BAYER_PATTERNS, LINEAR, MONOCHROME, FrameInfo, Ma
 from envcal.errors import EnvcalError
 
 Counts = npt.NDArray[np.uint16]
+Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+
+# LibRaw gives zeros for a camera it does not know; matrices of real ones have determinants from 0.05 on.
+_LEAST_DETERMINANT = 1e-3
 
 _LARGEST_SIDE = 65_535
 _JPEG_XL = 52_546  # TIFF Compression, DNG 1.7
@@ -90,6 +94,17 @@ def read_frame(path: Path | str) -> tuple[FrameInfo, Counts]:
         mosaic = np.ascontiguousarray(mosaic)
         _refuse_empty(mosaic, info)
     return info, mosaic
+
+
+def camera_from_xyz(path: Path | str) -> Matrix | None:
+    """Return the matrix [3][3] from XYZ to camera RGB under D65 that LibRaw or the file itself knows, None without one."""
+    path = Path(path)
+    with _opened(path, _exif(path)) as raw:
+        known = np.asarray(raw.rgb_xyz_matrix, np.float64)[:3]
+    if known.shape != (3, 3) or not np.isfinite(known).all() or abs(np.linalg.det(known)) < _LEAST_DETERMINANT:
+        return None
+    a, b, c = ((float(x), float(y), float(z)) for x, y, z in known)
+    return a, b, c
 
 
 class RawFrame:

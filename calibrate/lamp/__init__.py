@@ -19,6 +19,16 @@ The module's own deviation from D65 is not corrected here.
 
 from calibrate.lamp.curve import adapted_d65_curve
 from calibrate.lamp.finding import find_lamp
+from calibrate.lamp.pair import LampAlone, find_lit_lamp, lamp_alone
 from calibrate.lamp.reading import Lamp, measure_lamp, rectangle_from_chart
 
-__all__ = ["Lamp", "adapted_d65_curve", "find_lamp", "measure_lamp", "rectangle_from_chart"]
+__all__ = [
+    "Lamp",
+    "LampAlone",
+    "adapted_d65_curve",
+    "find_lamp",
+    "find_lit_lamp",
+    "lamp_alone",
+    "measure_lamp",
+    "rectangle_from_chart",
+]

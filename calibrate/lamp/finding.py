@@ -8,11 +8,24 @@ import numpy.typing as npt
 
 from calibrate import CalibrateError
 from calibrate.lamp.curve import uv_from_xyz
-from calibrate.lamp.reading import MOST_CLIPPED, Image, Lamp, Mask, Points, read_region
+from calibrate.lamp.reading import (
+    MOST_CLIPPED,
+    MOST_REFLECTED,
+    Image,
+    Lamp,
+    Mask,
+    Points,
+    doubts_of_mixing,
+    read_region,
+)
 from calibrate.lamp.regions import overlap, regions_of
 
 _LEAST_SCORE: Final = 0.02
 _CLOSE_RUNNER_UP: Final = 0.5
+# A region that scores less is taken, but not without a word; chosen where no other object passed without one.
+_SURE: Final = 0.25
+# Something clipped is no reason to refuse a lamp that scores this.
+_GOOD: Final = 0.1
 
 
 def find_lamp(
@@ -61,7 +74,7 @@ def find_lamp(
     spoilt = [region for region in regions if region.clipped > MOST_CLIPPED and region.score >= _LEAST_SCORE]
     best = max(usable, key=lambda region: region.score, default=None)
     worst = max(spoilt, key=lambda region: region.score, default=None)
-    if worst is not None and (best is None or worst.score > best.score):
+    if worst is not None and (best is None or (worst.score > best.score and best.score < _GOOD)):
         x, y = worst.polygon.mean(axis=0) - offset
         raise CalibrateError(
             f"balance.lamp: what looks like the lamp, at ({x:.0f}, {y:.0f}), is clipped in {worst.clipped:.0%} of its pixels; "
@@ -77,7 +90,26 @@ def find_lamp(
         )
     runner_up = max((r.score for r in usable if not overlap(r, best)), default=0.0)
     lamp = read_region(seen, best, xyz_from_rgb=xyz_from_rgb, clipped=lost, latlong=False)
+    luminance = float(to_xyz[1] @ lamp.rgb)
+    x, y = best.polygon.mean(axis=0) - offset
+    if luminance < MOST_REFLECTED:
+        raise CalibrateError(
+            f"balance.lamp: what looks most like the lamp, at ({x:.0f}, {y:.0f}), is {luminance:.2g} times as bright as the chart's white; "
+            f"expected at least {MOST_REFLECTED}, since an unlit surface may be as bright. Make the lamp brighter, or photograph the "
+            "view with the lamp off too (`capture.lamp_off`)."
+        )
     warnings = lamp.warnings
+    if best.score < _SURE:
+        warnings += (
+            f"balance.lamp: what was taken, at ({x:.0f}, {y:.0f}), may not be the lamp: it scores {best.score:.2f} of 1, and {_SURE} is sure. "
+            "Look at the report; if it is something else, set `balance.lamp` to a rectangle inside the module.",
+        )
+    if worst is not None and worst.score > _CLOSE_RUNNER_UP * best.score and not overlap(worst, best):
+        x, y = worst.polygon.mean(axis=0) - offset
+        warnings += (
+            f"balance.lamp: another region, at ({x:.0f}, {y:.0f}), is clipped in {worst.clipped:.0%} of its pixels and may be the "
+            "lamp. Look at the report; if it is, add a shorter exposure to the bracket.",
+        )
     if runner_up > _CLOSE_RUNNER_UP * best.score:
         other = max((r for r in usable if not overlap(r, best)), key=lambda region: region.score)
         x, y = other.polygon.mean(axis=0) - offset
@@ -85,4 +117,5 @@ def find_lamp(
             f"balance.lamp: another region, at ({x:.0f}, {y:.0f}), scores {runner_up:.2f} against {best.score:.2f} of the one "
             "taken. Look at the report; if it is the wrong one, set `balance.lamp` to a rectangle inside the module.",
         )
+    warnings += doubts_of_mixing(lamp, to_xyz)
     return replace(lamp, polygon=lamp.polygon - offset, score=best.score, runner_up=runner_up, warnings=warnings)

@@ -30,6 +30,8 @@ _MODEST_SHARE: Final = 0.25
 # Panes of one window and tubes of one luminaire differ by less in u'v' and in the logarithm of luminance.
 _SAME_COLOUR: Final = 0.004
 _SAME_LEVEL: Final = 0.15
+# Regions that score less need not be looked at further.
+_HOPELESS: Final = 1e-3
 _LOWEST_LEVEL: Final = 0.35
 # Regions examined at one threshold, the largest first; a noisy picture has thousands of specks.
 _MOST_REGIONS: Final = 60
@@ -146,7 +148,10 @@ def _scored(
     shining = 1 / (1 + (1.1 / mean[1]) ** 4)
     isolated = np.clip((contrast - 1.05) / 1.0, 0, 1)
     seen_well = inside.sum() / (inside.sum() + 40.0)
-    score = right_colour * tinted * even * shining * isolated * seen_well * _shape_score(fill, polygon, chart, (width, height))
+    score = right_colour * tinted * even * shining * isolated * seen_well
+    if score < _HOPELESS:
+        return None
+    score *= _shape_score(fill, polygon, chart, (width, height))
     return Region(polygon, inside, (x0, y0), float(score), clipped, mean)
 
 
@@ -166,7 +171,11 @@ def _unevenness(rgb: npt.NDArray[np.float64], usable: Mask, xyz_from_rgb: npt.ND
     parts = np.stack([np.bincount(cells, weights=samples[:, k], minlength=16) for k in range(3)], axis=1)
     large = count * 40 >= len(rows)
     uv = uv_from_xyz(parts[large] @ xyz_from_rgb.T)
-    return float(np.sqrt(np.average((uv - np.average(uv, axis=0, weights=count[large])) ** 2, axis=0, weights=count[large]).sum()))
+    return float(
+        np.sqrt(
+            np.average((uv - np.average(uv, axis=0, weights=count[large])) ** 2, axis=0, weights=count[large]).sum()
+        )
+    )
 
 
 def _shape_score(fill: float, polygon: Points, chart: Points, size: tuple[int, int]) -> float:
@@ -194,7 +203,7 @@ def _gap(polygon: Points, chart: Points) -> float:
 
 def _alone(regions: list[Region]) -> list[Region]:
     """Lower the scores of regions that have others of their colour and brightness beside them, as panes of a window have."""
-    lit = [region for region in regions if region.xyz is not None and region.score > 0]
+    lit = [region for region in regions if region.xyz is not None and region.score > _HOPELESS]
     if not lit:
         return regions
     xyz = np.array([region.xyz for region in lit])
@@ -202,7 +211,7 @@ def _alone(regions: list[Region]) -> list[Region]:
     low = np.array([region.polygon.min(axis=0) for region in lit])
     high = np.array([region.polygon.max(axis=0) for region in lit])
     area = np.array([abs(signed_area(region.polygon)) for region in lit])
-    out = [region for region in regions if region.xyz is None or region.score <= 0]
+    out = [region for region in regions if region.xyz is None or region.score <= _HOPELESS]
     for n, region in enumerate(lit):
         like = (np.hypot(*(uv - uv[n]).T) < _SAME_COLOUR) & (np.abs(level - level[n]) < _SAME_LEVEL)
         like &= (area > 0.2 * area[n]) & ((low > high[n] + 2) | (high < low[n] - 2)).any(axis=1)

@@ -112,6 +112,13 @@ def _corners(text: str) -> Any:
     metavar="NAME|FILE",
     help="The camera's spectral sensitivities (CSV, or JSON as of rawtoaces), to measure the chart's light with.",
 )
+@click.option(
+    "--pair",
+    nargs=2,
+    type=FILE,
+    metavar="ON OFF",
+    help="Merged brackets of this view with the lamp on and off, each with its noise (`--set deviation=true`).",
+)
 @set_option("spectrum=module.csv")
 @json_option
 def balance(
@@ -120,6 +127,7 @@ def balance(
     profile: Path | None,
     lamp: str | None,
     camera: str | None,
+    pair: tuple[Path, Path] | None,
     overrides: Sequence[str],
     as_json: bool,
 ) -> None:
@@ -132,9 +140,9 @@ def balance(
     from envcal.steps.balance import balance as work
     from envcal.steps.balance import calibrate_on_lamp
 
-    if profile is not None and (lamp is not None or camera is not None or overrides):
+    if profile is not None and (lamp is not None or camera is not None or pair is not None or overrides):
         raise click.UsageError(
-            "--lamp, --camera and --set belong to the search for the lamp; a profile brings its own gains and its "
+            "--lamp, --camera, --pair and --set belong to the search for the lamp; a profile brings its own gains and its "
             "chart's light."
         )
     settings = stage_settings(
@@ -145,7 +153,7 @@ def balance(
         camera=camera,
     )
     if profile is None:
-        found = calibrate_on_lamp(corrected, settings)
+        found = calibrate_on_lamp(corrected, settings, pair=pair)
         found.write(out.with_suffix(".profile.json"))
     else:
         found = profiles.read(profile)

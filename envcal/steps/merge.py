@@ -36,7 +36,7 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
     from calibrate.lens import remove_vignetting
     from calibrate.lost import lost_share
     from calibrate.merge import measure_bracket, merge_mosaics
-    from envcal.raw import open_bracket
+    from envcal.raw import camera_from_xyz, open_bracket
 
     raws = [raw.described(**changes_of(raw.path.name, settings)) for raw in open_bracket(frames)]
     check_bracket([raw.info for raw in raws], mixed_iso=settings.mixed_iso, mixed_aperture=settings.mixed_aperture)
@@ -71,6 +71,9 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
         **provenance.colour_space(provenance.CAMERA_RGB),
         "envcalCamera": camera.model_dump(mode="json"),
     }
+    matrix = camera_from_xyz(frames[0])
+    if matrix is not None:
+        attributes["envcalCameraFromXYZ"] = matrix
     planes: dict[str, npt.NDArray[Any]] = {**exr.rgb_planes(image), "lost": lost.astype(np.uint32)}
     if merged.ghosts is not None:
         planes["ghost"] = np.ascontiguousarray(merged.ghosts[:, :: merged.ghosts.shape[1] // lost.shape[1]], np.uint32)
