@@ -228,9 +228,7 @@ def lamp_scene(seed: int, *, lamp: bool = True) -> LampScene:
     across = float(np.exp(rng.uniform(np.log(120), np.log(300))))
     corners = _chart_place(rng, size, across)
     _furnish(stage, canvas, across)
-    others = (
-        [] if lamp and rng.random() < 0.15 else _distract(stage, canvas, across, corners, at_least=0 if lamp else 1)
-    )
+    others = [] if lamp and rng.random() < 0.15 else _distract(stage, canvas, across, at_least=0 if lamp else 1)
     _draw_chart(stage, canvas, corners)
     shows = place = None
     facts: dict[str, float] = {"across": across}
@@ -302,9 +300,7 @@ def _draw_chart(stage: _Stage, canvas: _Canvas, corners: Float64) -> None:
         part[:, :, 3] *= (1 - cover[..., None]) if k == 0 else 1
 
 
-def _distract(
-    stage: _Stage, canvas: _Canvas, across: float, corners: Float64, *, at_least: int
-) -> list[tuple[str, float, float]]:
+def _distract(stage: _Stage, canvas: _Canvas, across: float, *, at_least: int) -> list[tuple[str, float, float]]:
     """Draw some of what might be taken for the lamp; the chart is drawn over them later."""
     rng, (height, width) = stage.rng, canvas.size
     drawn = []
@@ -391,11 +387,49 @@ def _screen(stage: _Stage, canvas: _Canvas, centre: Float64, mm: float) -> None:
     canvas.put(_quad(centre, w * mm, h * mm, turn), layers)
 
 
+def _placed(
+    stage: _Stage,
+    canvas: _Canvas,
+    form: tuple[float, float, bool, bool],
+    before: npt.NDArray[np.float32],
+    brightness: float,
+    corners: Float64,
+    across: float,
+) -> Float64:
+    """Return the outline of a lamp of a form (thickness, length, round, near the chart), in the picture and off the chart."""
+    rng, (height, width) = stage.rng, canvas.size
+    thick, long, round_one, near = form
+    best = None
+    # Who puts up a lamp does not put it before a window; one time in ten it happens all the same.
+    careless = rng.random() < 0.1
+    for _ in range(300):
+        turn = rng.choice([0.0, np.pi / 2]) + rng.normal(0, 0.15) if rng.random() < 0.7 else rng.uniform(0, np.pi)
+        outline = (
+            _disc(np.zeros(2), thick, float(rng.uniform(0.75, 1.0)), turn)
+            if round_one
+            else _quad(np.zeros(2), thick, long, turn)
+        )
+        place = rng.random(2) * (width, height)
+        if near:
+            place = corners.mean(axis=0) + rng.normal(0, 0.75 * across, 2)
+        there = outline + place
+        gap = _gap(there, corners)
+        if not careless and _shining(before, there) > 0.02 * brightness:
+            continue
+        inside = (there.min() > 4) and (there[:, 0] < width - 5).all() and (there[:, 1] < height - 5).all()
+        if inside and gap > (0.03 if near else 0.6) * across and (not near or gap < 0.6 * across):
+            best = there
+            break
+        if inside and gap > 0.03 * across and best is None:
+            best = there
+    return _quad(np.array([10 + thick / 2, 10 + thick / 2]), thick, thick, 0.0) if best is None else best
+
+
 def _draw_lamp(
     stage: _Stage, canvas: _Canvas, kind: str, own: Float64, corners: Float64, across: float
 ) -> tuple[Mask, Mask, float, dict[str, float], Float64]:
     """Draw strip or module near or far from the chart; return the pixels that show it alone, its Y, facts, its place."""
-    rng, (height, width) = stage.rng, canvas.size
+    rng = stage.rng
     near = rng.random() < 0.6
     strip = rng.random() < 0.5
     mm = across / _MM * (float(rng.uniform(0.85, 1.15)) if near else float(rng.uniform(0.6, 1.3)))
@@ -415,32 +449,8 @@ def _draw_lamp(
     brightness = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     reflectance = float(rng.uniform(0.5, 0.8) if kind == "mixed" else rng.uniform(0.1, 0.6))
     round_one = not strip and rng.random() < 0.3
-    best = None
     before = np.ascontiguousarray(canvas.layers[:, :, 3, 1])
-    # Who puts up a lamp does not put it before a window; one time in ten it happens all the same.
-    careless = rng.random() < 0.1
-    for _ in range(300):
-        turn = rng.choice([0.0, np.pi / 2]) + rng.normal(0, 0.15) if rng.random() < 0.7 else rng.uniform(0, np.pi)
-        outline = (
-            _disc(np.zeros(2), thick * mm, float(rng.uniform(0.75, 1.0)), turn)
-            if round_one
-            else _quad(np.zeros(2), thick * mm, long * mm, turn)
-        )
-        place = rng.random(2) * (width, height)
-        if near:
-            place = corners.mean(axis=0) + rng.normal(0, 0.75 * across, 2)
-        there = outline + place
-        gap = _gap(there, corners)
-        if not careless and _shining(before, there) > 0.02 * brightness:
-            continue
-        inside = (there.min() > 4) and (there[:, 0] < width - 5).all() and (there[:, 1] < height - 5).all()
-        if inside and gap > (0.03 if near else 0.6) * across and (not near or gap < 0.6 * across):
-            best = there
-            break
-        if inside and gap > 0.03 * across and best is None:
-            best = there
-    if best is None:
-        best = _quad(np.array([10 + thick * mm / 2, 10 + thick * mm / 2]), thick * mm, thick * mm, 0.0)
+    best = _placed(stage, canvas, (thick * mm, long * mm, round_one, near), before, brightness, corners, across)
     fall = float(rng.uniform(0.0, 0.3))
     ripple = float(rng.uniform(0.0, 0.3)) if strip else 0.0
     bezel = float(rng.choice([0.0, rng.uniform(2, 12)])) * mm

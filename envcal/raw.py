@@ -27,6 +27,10 @@ from envcal.errors import EnvcalError
 Counts = npt.NDArray[np.uint16]
 Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
+# DNG: ColorMatrix2 and its CalibrationIlluminant2, the same of 1; 21 is EXIF's D65.
+_DNG_MATRICES = (("0xC622", "0xC65B"), ("0xC621", "0xC65A"))
+_DNG_D65 = 21
+
 # LibRaw gives zeros for a camera it does not know; matrices of real ones have determinants from 0.05 on.
 _LEAST_DETERMINANT = 1e-3
 
@@ -99,8 +103,15 @@ def read_frame(path: Path | str) -> tuple[FrameInfo, Counts]:
 def camera_from_xyz(path: Path | str) -> Matrix | None:
     """Return the matrix [3][3] from XYZ to camera RGB under D65 that LibRaw or the file itself knows, None without one."""
     path = Path(path)
-    with _opened(path, _exif(path)) as raw:
-        known = np.asarray(raw.rgb_xyz_matrix, np.float64)[:3]
+    exif = _exif(path)
+    known = np.zeros((3, 3))
+    for matrix, illuminant in _DNG_MATRICES:
+        values = _numbers(exif, matrix)
+        if _numbers(exif, illuminant)[:1] == [_DNG_D65] and len(values) == 9:
+            known = np.array([float(v) for v in values]).reshape(3, 3)
+    if not known.any():
+        with _opened(path, exif) as raw:
+            known = np.asarray(raw.rgb_xyz_matrix, np.float64)[:3]
     if known.shape != (3, 3) or not np.isfinite(known).all() or abs(np.linalg.det(known)) < _LEAST_DETERMINANT:
         return None
     a, b, c = ((float(x), float(y), float(z)) for x, y, z in known)

@@ -24,6 +24,9 @@ _TILE: Final = 24
 # A tile speaks of the gain if that is known to this, and of the shift if that is known to a tenth of a pixel.
 _KNOWN_GAIN: Final = 0.02
 _KNOWN_SHIFT_PX: Final = 0.1
+_SMOOTHING: Final = 1.2
+# Differences of fourth order: those of two neighbours alone underestimate the slopes of edges by a quarter.
+_SLOPE: Final = np.array([1.0, -8.0, 0.0, 8.0, -1.0], np.float32) / 12
 _FEWEST_TILES: Final = 12
 # Inside the lamp nothing changes by a fifth of a pixel; half a pixel is no tripod.
 _NOTABLE_SHIFT_PX: Final = 0.2
@@ -38,6 +41,7 @@ _COLOURS_DIFFER: Final = 0.1
 # A pixel of the lamp stands out by this many of its standard deviations; regions from this share of the peak on are the lamp.
 _LEAST_SIGNIFICANCE: Final = 8.0
 _OF_PEAK: Final = 0.4
+_OF_RIM: Final = 0.05
 _LEAST_PIXELS: Final = 9
 _SECOND_AREA: Final = 0.25
 
@@ -91,7 +95,7 @@ def lamp_alone(
     light = np.asarray(on - off, np.float32)
     sigma = np.asarray(np.hypot(sigma_on, sigma_off), np.float32)
     lost_on, lost_off = (~np.isfinite(picture).all(axis=2) for picture in (on, off))
-    gains, errors, shifts, shift_errors = _tiles(light, off, sigma)
+    gains, errors, shifts, shift_errors = _tiles(light, off, sigma, left_out=_lamp_itself(light, sigma))
     sure = (errors < _KNOWN_GAIN).all(axis=1)
     if sure.sum() < _FEWEST_TILES:
         raise CalibrateError(
@@ -113,8 +117,8 @@ def lamp_alone(
     darkened = float((brightness < -_LARGEST_CHANGE - 4 * error).mean())
     if abs(change) > _LARGEST_CHANGE or darkened > _MOST_DARKENED:
         raise CalibrateError(
-            f"capture.lamp_off: with the lamp on, the scene's own light is {change:+.1%} of what it is without, and {darkened:.0%} of the "
-            f"picture is darker by more than {_LARGEST_CHANGE:.0%} and noise (at most {_LARGEST_CHANGE:.0%}, and "
+            f"capture.lamp_off: with the lamp on, the scene's own light differs by {change:+.1%} from what it is without, and {darkened:.0%} of "
+            f"the picture is darker by more than {_LARGEST_CHANGE:.0%} and noise (at most {_LARGEST_CHANGE:.0%}, and "
             f"{_MOST_DARKENED:.0%} of the picture). Photograph both brackets right after one another, in steady light and with "
             "nobody in view, or leave `capture.lamp_off` out."
         )
@@ -151,14 +155,14 @@ def find_lit_lamp(
     CalibrateError
         If nothing lights up, or the lamp is too dim, too small or clipped.
     """
-    height, width = working.shape[:2]
+    width = working.shape[1]
     green = np.where(alone.clipped, np.float32(np.inf), np.nan_to_num(alone.light[..., 1]))
     noise = np.nan_to_num(alone.sigma[..., 1], nan=np.inf)
     # A single photosite is no lamp.
     calm = cv2.medianBlur(np.asarray(np.where(np.isinf(green), np.finfo(np.float32).max, green), np.float32), 3)
-    known = calm[np.isfinite(noise) & (calm < np.finfo(np.float32).max)]
-    peak = float(known.max(initial=0.0))
-    significance = float((calm / np.maximum(noise, 1e-30))[np.isfinite(noise)].max(initial=0.0))
+    known = np.isfinite(noise) & (calm < np.finfo(np.float32).max)
+    peak = float(calm[known].max(initial=0.0))
+    significance = float((calm[known] / np.maximum(noise[known], 1e-30)).max(initial=0.0))
     if not alone.clipped.any() and significance < _LEAST_SIGNIFICANCE:
         raise CalibrateError(
             f"capture.lamp_off: nothing lights up between the brackets: the brightest difference is {significance:.1f} standard deviations "
@@ -211,7 +215,7 @@ def find_lit_lamp(
 
 
 def _tiles(
-    light: Image, off: Image, sigma: Image
+    light: Image, off: Image, sigma: Image, *, left_out: Mask
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return gains [T, 3], their errors, shifts [T, 2] (green's) and their errors, of tiles that are wholly known."""
     height, width = (size // _TILE * _TILE for size in light.shape[:2])
@@ -222,13 +226,17 @@ def _tiles(
         return np.asarray(parts.reshape(rows * columns, -1), np.float64)
 
     gains, errors, shifts, shift_errors = [], [], np.zeros((0, 2)), np.zeros((0, 2))
-    whole = np.isfinite(cut((light + sigma + off).sum(axis=2))).all(axis=1)
+    lost = (left_out | ~np.isfinite((light + sigma + off).sum(axis=2))).astype(np.uint8)
+    whole = ~cut(cv2.dilate(lost, np.ones((9, 9), np.uint8))).any(axis=1)
     for channel in range(3):
-        picture = cv2.GaussianBlur(np.nan_to_num(off[..., channel]), (0, 0), 0.8)
-        slope_y, slope_x = np.gradient(picture)
-        basis = np.stack([cut(off[..., channel]), -cut(slope_x), -cut(slope_y)], axis=2)[whole]
+        # Differences of neighbours are slopes only of what is smooth; the noise is then less than `sigma` says.
+        picture, smooth = (
+            cv2.GaussianBlur(np.nan_to_num(plane[..., channel]), (0, 0), _SMOOTHING) for plane in (off, light)
+        )
+        slope_x, slope_y = (cv2.filter2D(picture, -1, kernel) for kernel in (_SLOPE[None], _SLOPE[:, None]))
+        basis = np.stack([cut(picture), -cut(slope_x), -cut(slope_y)], axis=2)[whole]
         weight = 1 / np.maximum(cut(sigma[..., channel])[whole], 1e-30) ** 2
-        difference = cut(light[..., channel])[whole]
+        difference = cut(smooth)[whole]
         normal = np.einsum("tni,tn,tnj->tij", basis, weight, basis)
         scale = np.sqrt(np.maximum(np.einsum("tii->ti", normal), 1e-30))
         ridge = normal / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(3)
@@ -240,6 +248,16 @@ def _tiles(
         if channel == 1:
             shifts, shift_errors = found[:, 1:], spread[:, 1:]
     return np.stack(gains, axis=1), np.stack(errors, axis=1), shifts, shift_errors
+
+
+def _lamp_itself(light: Image, sigma: Image) -> Mask:
+    """The lamp and its rim [H, W]: what hangs together with the brightest spot of the difference."""
+    spot = cv2.GaussianBlur(np.nan_to_num(light[..., 1]), (0, 0), _SMOOTHING)
+    noise = np.nan_to_num(sigma[..., 1], nan=np.inf)
+    row, column = np.unravel_index(np.argmax(spot), spot.shape)
+    bright = (spot > _OF_RIM * spot[row, column]) & (spot > _LEAST_SIGNIFICANCE * noise)
+    labels = cv2.connectedComponents(bright.astype(np.uint8), connectivity=8)[1]
+    return np.asarray(bright & (labels == labels[row, column]))
 
 
 def _coarse_shift(on: Image, off: Image) -> npt.NDArray[np.float64]:
