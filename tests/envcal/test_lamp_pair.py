@@ -11,7 +11,7 @@ from envcal import exr, profile
 from envcal.cli import main
 from samples import Camera, CaptureSettings, Module, Pinhole, Room, make_capture, spectra, write_capture
 
-SIZE = (400, 300)
+SIZE = (320, 240)
 # Merge, demosaic and noise at some hundred pixels of a lamp.
 READING = 0.01
 
@@ -32,6 +32,7 @@ def photograph(folder, name, *, seed, brighter=1.0, **place):
         exposures_s=(Fraction(1, 256), Fraction(1, 32), Fraction(1, 4)),
         camera=Camera(),
         seed=seed,
+        sub=1,
         name=name,
     )
     write_capture(folder, make_capture(settings))
@@ -42,10 +43,7 @@ def folder(tmp_path_factory):
     made = tmp_path_factory.mktemp("pair")
     photograph(made, "on", seed=1)
     photograph(made, "off", seed=2, module=Module(luminance=1e-9))
-    photograph(made, "dusk", seed=3, brighter=0.9, module=Module(luminance=1e-9))
-    for off in ("off", "dusk"):
-        text = f"capture: {{reference: on_*.dng, lamp_off: {off}_*.dng}}\noutput: {off}\n"
-        (made / f"{off}.yaml").write_text(text)
+    (made / "off.yaml").write_text("capture: {reference: on_*.dng, lamp_off: off_*.dng}\noutput: off\n")
     return made
 
 
@@ -62,10 +60,9 @@ def test_the_difference_of_two_brackets_gives_the_balance(folder):
     # The view without the lamp is balanced like any other shot.
     _, image = exr.read_rgb(folder / "off" / "balance" / "lamp_off.exr")
     assert image.shape == (SIZE[1], SIZE[0], 3)
-    again = envcal("run", folder / "off.yaml", "--until", "balance")
-    assert again.stderr.count("unchanged") == 3
 
 
+@pytest.mark.slow
 def test_the_commands_one_by_one_give_the_same(folder, tmp_path):
     for name in ("on", "off"):
         frames = sorted(folder.glob(f"{name}_*.dng"))
@@ -76,6 +73,7 @@ def test_the_commands_one_by_one_give_the_same(folder, tmp_path):
     )
     assert done.exit_code == 0, done.stderr
     one = profile.read(tmp_path / "b.profile.json").lamp
+    assert envcal("run", folder / "off.yaml", "--until", "balance").exit_code == 0
     other = profile.read(folder / "off" / "balance" / "profile.json").lamp
     assert one is not None and other is not None
     np.testing.assert_allclose(one.rgb, other.rgb, rtol=1e-6)
@@ -88,7 +86,10 @@ def test_the_commands_one_by_one_give_the_same(folder, tmp_path):
     assert "deviation=true" in refused.stderr
 
 
+@pytest.mark.slow
 def test_lamps_that_were_dimmed_between_the_brackets_are_refused_with_a_figure(folder):
+    photograph(folder, "dusk", seed=3, brighter=0.9, module=Module(luminance=1e-9))
+    (folder / "dusk.yaml").write_text("capture: {reference: on_*.dng, lamp_off: dusk_*.dng}\noutput: dusk\n")
     done = envcal("run", folder / "dusk.yaml", "--until", "balance")
     assert done.exit_code == 1
     assert "own light differs by +1" in done.stderr
