@@ -79,8 +79,8 @@ def look(scene: LampScene, made: Calibrated, xyz_from_rgb: Float64, *, known: bo
     expected = made.matrix @ scene.camera_d65 if known else None
     try:
         lamp = find_lamp(made.image, chart_corners=made.corners, xyz_from_rgb=xyz_from_rgb, expected_rgb=expected)
-    except CalibrateError as error:
-        return "refused", float("nan"), str(error)
+    except CalibrateError as refusal:
+        return "refused", float("nan"), str(refusal)
     said = " / ".join(lamp.warnings)
     x, y = np.round(lamp.polygon.mean(axis=0)).astype(int)
     on_lamp = scene.place is not None and bool(scene.place[max(y - 2, 0) : y + 3, max(x - 2, 0) : x + 3].any())

@@ -328,7 +328,9 @@ def _distract(stage: _Stage, canvas: _Canvas, across: float, *, at_least: int) -
                 canvas.put(outline, stage.shining(light * bright), soft=float(rng.uniform(0.5, 1.5)))
         else:
             neutral = float(rng.uniform(0.8, 0.93)) * (1 - 0.06 * (spectra.WAVELENGTHS_NM < 430))
-            layers = stage.reflecting(neutral, gloss=float(np.exp(rng.uniform(np.log(0.5), np.log(1.5)))))
+            layers = stage.reflecting(
+                np.asarray(neutral, np.float64), gloss=float(np.exp(rng.uniform(np.log(0.5), np.log(1.5))))
+            )
             side = float(rng.choice([74.0, 105.0, 210.0]))
             canvas.put(_quad(centre, side * mm, side * 1.414 * mm, rng.uniform(0, np.pi)), layers)
     return drawn
@@ -579,5 +581,9 @@ def calibrated(scene: LampScene, *, seed: int, xyz_from_rgb: Float64) -> Calibra
     corners = scene.corners + np.random.default_rng([seed, 8]).normal(0, 0.004 * across, (4, 2))
     chart = chart_from_corners(corners)
     patches = measure_patches(image, chart.quads)
-    fit = fit_matrix(patches.rgb, chart_reference("BabelColor Average"), rgb_from_xyz=np.linalg.inv(xyz_from_rgb))
+    fit = fit_matrix(
+        patches.rgb,
+        chart_reference("BabelColor Average"),
+        rgb_from_xyz=np.asarray(np.linalg.inv(xyz_from_rgb), np.float64),
+    )
     return Calibrated(apply_matrix(image, fit.matrix), corners, fit.matrix)

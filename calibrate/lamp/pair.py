@@ -267,7 +267,8 @@ def _coarse_shift(on: Image, off: Image) -> npt.NDArray[np.float64]:
         green = np.nan_to_num(picture[..., 1], nan=float(np.nanmax(picture[..., 1])))
         pictures.append(np.log(np.maximum(green, max(float(np.median(green)), 1e-30) / 30)))
     window = cv2.createHanningWindow(on.shape[1::-1], cv2.CV_32F)
-    (x, y), response = cv2.phaseCorrelate(*(np.asarray(p, np.float32) for p in pictures), window)
+    lit, unlit = (np.asarray(picture, np.float32) for picture in pictures)
+    (x, y), response = cv2.phaseCorrelate(lit, unlit, window)
     return np.array([x, y]) if response > 0.2 else np.zeros(2)
 
 
