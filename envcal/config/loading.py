@@ -135,7 +135,7 @@ def _resolve(path: Path, tree: Any, settings: Pipeline) -> Loaded:
                 line = line_of(tree, ("capture", "environment", name))
                 mistakes.append(
                     f"{path}:{line}: capture.environment.{name}: a shot's name is made of letters, "
-                    f"digits, - and _, and is neither `reference` nor `{LAMP_OFF}`; it becomes a file's name."
+                    f"digits, - and _, and is not `reference` or `{LAMP_OFF}`; it becomes a file's name."
                 )
             environments[name] = frames(patterns, ("capture", "environment", name))
     elif capture.environment is not None:
