@@ -10,6 +10,7 @@ BENCHMARKS = {
     "lights": "which lights are found in rooms and skies, and what their spectra are worth",
     "merge": "time, memory and error of merging a bracket, beside HDRutils, colour-hdri and OpenCV",
     "chart": "charts found and falsely found in synthetic scenes, maps and photographs",
+    "lamp": "D65 lamps found, and other things taken for one, in synthetic captures",
     "roundtrip": "how exactly RGB comes back, over maps and lamps of all families",
     "brightness": "how well pixels relight surfaces, by how bright their reflectance is taken to be",
     "relit_render": "a rendered scene under the true spectra of a room, our uplift and the usual one",

@@ -7,12 +7,14 @@ a linear frame stand side by side in the rows of its mosaic.
 """
 
 from envcal.raw.frames import KEPT_IF_MOVED, KEPT_MOSAICS, RawFrame, open_bracket, read_frame, read_info, read_mosaic
+from envcal.raw.matrix import camera_from_xyz
 from envcal.raw.opening import rawpy_version
 
 __all__ = [
     "KEPT_IF_MOVED",
     "KEPT_MOSAICS",
     "RawFrame",
+    "camera_from_xyz",
     "open_bracket",
     "rawpy_version",
     "read_frame",

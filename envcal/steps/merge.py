@@ -40,7 +40,7 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
     from calibrate.lens import remove_vignetting
     from calibrate.lost import lost_share
     from calibrate.merge import measure_bracket, merge_mosaics
-    from envcal.raw import KEPT_IF_MOVED, KEPT_MOSAICS, open_bracket
+    from envcal.raw import KEPT_IF_MOVED, KEPT_MOSAICS, camera_from_xyz, open_bracket
 
     opened = open_bracket(frames, keep=KEPT_IF_MOVED if settings.align else KEPT_MOSAICS)
     raws = [raw.described(**changes_of(raw.path.name, settings)) for raw in opened]
@@ -88,6 +88,9 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
         **provenance.colour_space(provenance.CAMERA_RGB),
         "envcalCamera": camera.model_dump(mode="json"),
     }
+    matrix = camera_from_xyz(frames[0])
+    if matrix is not None:
+        attributes["envcalCameraFromXYZ"] = matrix
     planes: dict[str, npt.NDArray[Any]] = {**_views(image), "lost": lost}
     if merged.ghosts is not None:
         planes["ghost"] = merged.ghosts[:, :: merged.ghosts.shape[1] // lost.shape[1]]
