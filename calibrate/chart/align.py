@@ -28,8 +28,8 @@ from calibrate.chart.judge import glance, unevenness
 from calibrate.chart.lattice import refined
 from calibrate.chart.zones import flat_zones, relative_logarithm
 
-# Pixels a chart unit in the two flattened charts: a patch is 10, then 40 pixels wide.
-_UNITS_PX: Final = (4, 16)
+# Pixels a chart unit in the two flattened charts: a patch is 10, then 20 pixels wide.
+_UNITS_PX: Final = (4, 8)
 # Where the given box was good already, both scatter by noise alone.
 _SCATTER_ALLOWED: Final = 1.05
 # By so much must a later way make the patches scatter less than an earlier one.
