@@ -61,7 +61,7 @@ def glances(
         points = through(points)
     # One row a patch; a remapped picture has at most 32767 rows.
     flat = points.reshape(-1, len(grid) ** 2, 2).astype(np.float32)
-    parts = [_bilinear(image, flat[row : row + 30000]) for row in range(0, len(flat), 30000)]
+    parts = [bilinear(image, flat[row : row + 30000]) for row in range(0, len(flat), 30000)]
     samples = np.concatenate(parts).reshape(*points.shape[:3], 3)
     return _medians(samples)
 
@@ -83,7 +83,7 @@ def unevenness(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64])
 def _samples(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], part: float) -> npt.NDArray[np.float32]:
     """A grid of bilinear samples [24, N, 3] in the central `part` of each patch; NaN outside the image."""
     grid = (np.arange(_SAMPLES_PER_SIDE) + 0.5) / _SAMPLES_PER_SIDE
-    return _bilinear(image, project(image_from_chart(corners), _places_in_patches(grid, part)).astype(np.float32))
+    return bilinear(image, project(image_from_chart(corners), _places_in_patches(grid, part)).astype(np.float32))
 
 
 def _places_in_patches(grid: npt.NDArray[np.float64], part: float) -> npt.NDArray[np.float64]:
@@ -93,7 +93,8 @@ def _places_in_patches(grid: npt.NDArray[np.float64], part: float) -> npt.NDArra
     return np.asarray(quads[:, 0, None] + np.stack([s.ravel(), t.ravel()], -1) * (quads[:, 2] - quads[:, 0])[:, None])
 
 
-def _bilinear(image: npt.NDArray[np.float32], points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+def bilinear(image: npt.NDArray[np.float32], points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Bilinear samples of an image [H, W, 3] at points [M, N, 2], NaN outside."""
     samples = cv2.remap(
         image,
         np.ascontiguousarray(points[..., 0]),
