@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import cv2
 import numpy as np
@@ -199,7 +200,9 @@ def warped(texture: Image, corners: Float64, size: tuple[int, int], *, frame: fl
     if scale < 1:  # averaging before shrinking
         texture = np.asarray(cv2.GaussianBlur(texture, (0, 0), 0.4 / max(scale, 1e-3)), dtype=np.float32)
     # Only where the chart is: the rest of the picture stays empty.
-    outline = np.array([[-frame, -frame], [16.75 + frame, -frame], [16.75 + frame, 11.25 + frame], [-frame, 11.25 + frame]])
+    outline = np.array(
+        [[-frame, -frame], [16.75 + frame, -frame], [16.75 + frame, 11.25 + frame], [-frame, 11.25 + frame]]
+    )
     lifted = np.column_stack([outline, np.ones(4)]) @ homography(BOX, corners).T
     reached = lifted[:, :2] / lifted[:, 2:]
     x0, y0 = np.clip(np.floor(reached.min(axis=0)).astype(int) - 2, 0, np.array(size[::-1]) - 1)
@@ -394,7 +397,7 @@ def _spoilt_chart(rng: np.random.Generator, image: Image, colours: Float64, kind
     return image
 
 
-def _directions(u: npt.NDArray[np.generic], v: npt.NDArray[np.generic], size: tuple[int, int]) -> Float64:
+def _directions(u: npt.NDArray[Any], v: npt.NDArray[Any], size: tuple[int, int]) -> Float64:
     """The unit directions [..., 3] of pixels (u, v) of a lat-long map of `size` (H, W)."""
     phi, theta = 2 * np.pi * ((u + 0.5) / size[1] - 0.5), np.pi * (v + 0.5) / size[0]
     return np.stack([np.sin(theta) * np.sin(phi), np.cos(theta), -np.sin(theta) * np.cos(phi)], -1)

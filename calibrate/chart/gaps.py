@@ -65,7 +65,9 @@ def between_gaps(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64
         corrected = project(homography @ change, box_corners())
         if not np.isfinite(corrected).all():
             return None
-        shift = np.abs(project(np.linalg.inv(image_from_chart(corners)), corrected) - box_corners()).max()
+        shift = np.abs(
+            project(np.asarray(np.linalg.inv(image_from_chart(corners)), dtype=np.float64), corrected) - box_corners()
+        ).max()
         if not shift < _FARTHEST:
             return None
         box = corrected
@@ -181,13 +183,13 @@ def _moved(middles: Floats, errors: Floats) -> tuple[Floats, npt.NDArray[np.bool
     spread = np.hypot(_SPREAD, np.where(usable, errors, 1.0)) / size
     weight = usable / spread
     # Start from the median: half of the gaps may be none.
-    solution = np.zeros(8)
+    solution: Floats = np.zeros(8)
     for turn in range(_ROBUST_ROUNDS):
         rest = m - matrix @ solution
         if turn:
             scale = np.maximum(3 * spread, 3 * np.median(np.abs(rest[usable])))
             weight = np.where(usable, np.maximum(1 - (rest / scale) ** 2, 0) / spread, 0.0)
-        solution = np.linalg.lstsq(matrix * weight[:, None], m * weight, rcond=None)[0]
+        solution = np.asarray(np.linalg.lstsq(matrix * weight[:, None], m * weight, rcond=None)[0], dtype=np.float64)
     rest = np.abs(m - matrix @ solution) * size
     used = weight * spread > 0.1
     if used.sum() < sum(_FEWEST):

@@ -108,14 +108,14 @@ def bilinear(image: npt.NDArray[np.float32], points: npt.NDArray[np.float32]) ->
 
 def _medians(samples: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
     """Medians [..., 3] of samples [..., N, 3] that have all channels; NaN where half of them or more have not."""
-    whole = np.isfinite(samples).all(axis=-1)
+    whole = np.asarray(np.isfinite(samples).all(axis=-1))
     ordered = np.sort(np.where(whole[..., None], samples, np.float32(np.nan)), axis=-2)  # NaN comes last
     count = whole.sum(axis=-1)
     low, high = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, samples.shape[-2] - 1)
     pick = [np.take_along_axis(ordered, at[..., None, None], axis=-2)[..., 0, :] for at in (low, high)]
     values = 0.5 * (pick[0].astype(np.float64) + pick[1])
     values[count <= samples.shape[-2] // 2] = np.nan
-    return values
+    return np.asarray(values, dtype=np.float64)
 
 
 def best_order(patches: npt.NDArray[np.float64], reference: ChartReference) -> tuple[float, tuple[int, int, int, int]]:

@@ -105,7 +105,7 @@ def _spans(zones: Zones, tree: cKDTree) -> Iterator[tuple[int, Points, Points]]:
 @njit(cache=True, error_model="numpy")
 def _grown(
     centres: Points, areas: npt.NDArray[np.float64], seed: int, first: Points, second: Points
-) -> tuple[Places, npt.NDArray[np.intp]]:
+) -> tuple[Places, npt.NDArray[np.intp]]:  # pragma: no cover - compiled
     """Return places and the points there, starting from a seed and its two steps, from neighbour to neighbour."""
     side = 2 * _FARTHEST + 1
     taken = np.zeros(len(centres), dtype=np.bool_)

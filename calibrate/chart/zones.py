@@ -98,7 +98,7 @@ def _zones(flat: npt.NDArray[np.bool_], smallest: float, largest: float) -> Zone
 @njit(cache=True, error_model="numpy")
 def _central_moments(
     labels: npt.NDArray[np.int32], rank: npt.NDArray[np.int32], centres: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
+) -> npt.NDArray[np.float64]:  # pragma: no cover - compiled
     """Sums of dx², dy², dx dy [M, 3] over the pixels of each label of a rank from 0 to M − 1."""
     sums = np.zeros((len(centres), 3))
     for y in range(labels.shape[0]):
