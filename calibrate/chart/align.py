@@ -15,6 +15,8 @@ from calibrate.chart.zones import flat_zones, relative_logarithm
 
 # Where the given box was good already, both scatter by noise alone.
 _SCATTER_ALLOWED: Final = 1.05
+# Where neither the box nor the first ones by zones lead to the gaps, they are not seen.
+_TRIED: Final = 2
 # By so much must a later way make the patches scatter less than an earlier one.
 _GAIN: Final = 0.95
 # Size of a patch in the picture whose zones are looked at, and how far it is enlarged for that.
@@ -35,8 +37,8 @@ def align(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> n
         best, scatter, found = box, unevenness(image, box), False
         # In the order of trust: what comes later must be clearly better. Noise makes the scatter a poor judge of small
         # differences.
-        for moved in _snapped(image, box):
-            drawn = between_gaps(image, moved)
+        for position, moved in enumerate(_snapped(image, box)):
+            drawn = between_gaps(image, moved) if position < _TRIED else None
             if drawn is not None:
                 break
             spread = unevenness(image, moved)

@@ -28,8 +28,9 @@ _EXCELLENT_SCORE: Final = 4.5
 WORTH_ALIGNING: Final = 22.0
 # What a box that could not be drawn to the patches counts for in the choice, in ΔE.
 _NOT_ALIGNED: Final = 4.0
-# A fit to the middles of the patches hardly notices a box that is off a little: so small a loss (ΔE) is no objection.
-SMALL_LOSS: Final = 0.5
+# The gaps say better where the box is than the fit does: off by a little, it may see less of a patch's glare. So much more (ΔE)
+# is no objection.
+_LOSS_ALLOWED: Final = 2.0
 # Long sides of the picture at which it is searched, then its own size, and twice that where it is small: the gaps of a
 # chart of 100 pixels are hardly a pixel wide.
 _LONG_SIDES: Final = (700, 1500, 3200)
@@ -39,7 +40,7 @@ _MOST_ENLARGED_PIXELS: Final = 12_000_000
 _SMALLEST_PATCH: Final = 14.0
 _LARGEST_PATCH: Final = 130.0**2
 _SMALLEST_BOX: Final = 400.0
-_MOST_BOXES: Final = 6
+_MOST_BOXES: Final = 4
 # Boxes whose corners differ by less, in parts of half the box, are aligned to the same place.
 _SAME: Final = 0.03
 
@@ -172,7 +173,7 @@ def aligned_and_judged(
     if drawn is None or not plausible(drawn, image.shape[:2]):
         return given
     score, order = best_order(glance(image, drawn), reference)
-    if score > given.score + SMALL_LOSS:
+    if score > given.score + _LOSS_ALLOWED:
         return given
     return Candidate(drawn[list(order)], score, aligned=True)
 
