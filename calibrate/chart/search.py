@@ -30,7 +30,7 @@ WORTH_ALIGNING: Final = 22.0
 _NOT_ALIGNED: Final = 4.0
 # The gaps say better where the box is than the fit does: off by a little, it may see less of a patch's glare. So much more (ΔE)
 # is no objection.
-_LOSS_ALLOWED: Final = 2.0
+_LOSS_ALLOWED: Final = 4.0
 # Long sides of the picture at which it is searched, then its own size, and twice that where it is small: the gaps of a
 # chart of 100 pixels are hardly a pixel wide.
 _LONG_SIDES: Final = (700, 1500, 3200)
