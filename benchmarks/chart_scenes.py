@@ -134,7 +134,8 @@ def scene_with_chart(seed: int) -> Scene:
     fall_off = float(rng.uniform(1.0, 3.0))
     glare = float(rng.choice([0.0, rng.uniform(0.02, 0.5)]))
     # The thinnest visible side of a patch, in pixels: the gaps are a tenth of a patch, and hardly seen
-    # where the blur's sigma is as large as that.
+    # where the blur's sigma is as large as that: a gap between equal patches is then 38 % darker than they are, at 15 % of a
+    # patch 26 %, and what is sampled of a patch, its central half, begins at 1.7 sigma from its edge instead of 2.5.
     sides = np.hypot(*(np.roll(corners, -1, 0) - corners).T) / np.array([6.1, 4.1, 6.1, 4.1])
     blur = float(rng.uniform(0.0, 0.1) * _thinnest(corners))
     image = _composed(rng, background, texture, corners, fall_off=fall_off, glare=glare, white=white)
