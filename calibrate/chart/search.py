@@ -35,6 +35,7 @@ _LOSS_ALLOWED: Final = 4.0
 # chart of 100 pixels are hardly a pixel wide.
 _LONG_SIDES: Final = (700, 1500, 3200)
 _ENLARGED: Final = 2.0
+_COARSEST_SIDE: Final = 400
 _MOST_ENLARGED_PIXELS: Final = 12_000_000
 # Patches between these sizes are looked for at each size of the picture, in its pixels.
 _SMALLEST_PATCH: Final = 14.0
@@ -100,11 +101,14 @@ def better(best: Candidate | None, candidate: Candidate) -> Candidate:
 
 
 def scales(size: tuple[int, int]) -> list[float]:
-    """Return the factors by which a picture of `size` (H, W) is resized for the search, coarse to fine."""
+    """Return the factors by which a picture of `size` (H, W) is resized for the search."""
     long_side = max(size)
     factors = [side / long_side for side in _LONG_SIDES if side < 0.85 * long_side] + [1.0]
     if size[0] * size[1] * _ENLARGED**2 <= _MOST_ENLARGED_PIXELS:
         factors.append(_ENLARGED)
+    # Last, for a large chart whose gaps are blurred and noisy.
+    if long_side > 1.15 * _COARSEST_SIDE:
+        factors.append(_COARSEST_SIDE / long_side)
     return factors
 
 
