@@ -9,6 +9,7 @@ BENCHMARKS = {
     "uplift": "speed and memory of every uplift, with ratios to a plain loop and to the lattice",
     "lights": "which lights are found in rooms and skies, and what their spectra are worth",
     "merge": "time, memory and error of merging a bracket, beside HDRutils, colour-hdri and OpenCV",
+    "colour": "how true colours are after chart, lamp or camera sensitivities, over many cameras",
     "chart": "charts found and falsely found in synthetic scenes, maps and photographs",
     "lamp": "D65 lamps found, and other things taken for one, in synthetic captures",
     "roundtrip": "how exactly RGB comes back, over maps and lamps of all families",
