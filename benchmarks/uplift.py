@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import subprocess
 import sys
 import tempfile
 import time
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -57,7 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks uplift", description=__doc__)
     parser.add_argument("--size", type=size, default=(4096, 2048), help="of the map (default 4096x2048)")
     parser.add_argument("--crop", type=int, default=1 << 17, help="pixels for the slow peers (default 131072)")
-    parser.add_argument("--repeat", type=int, default=3, help="runs of each; the fastest counts")
+    parser.add_argument("--repeat", type=int, default=5, help="runs of each; the fastest counts")
     parser.add_argument(
         "--large", type=size, nargs="?", const=(16384, 8192), help="stream a map of this size, in tiles"
     )
@@ -100,20 +101,41 @@ def peak_gb() -> float | None:
     return used / 1e9 if sys.platform == "darwin" else used * 1024 / 1e9
 
 
-def _both(name: str, run: Callable[[slice], Any], shape: tuple[int, int], repeat: int, **more: Any) -> Row:
-    """Measure `run` of all rows on all cores, and of the same on one: some colours take longer than others."""
+@dataclass(frozen=True, slots=True)
+class _Case:
+    """What is measured: a call for the rows of a slice, and what is known of its errors."""
+
+    name: str
+    run: Callable[[slice], Any]
+    mean: float | None = None
+    worst: float | None = None
+    remark: str = ""
+
+
+def _together(cases: Sequence[_Case], shape: tuple[int, int], repeat: int) -> list[Row]:
+    """Measure every case on all cores and on one, turn about: a machine that is slow for a while is so for all of them."""
     height, width = shape
-    run(slice(0, 2))  # compiles
-    rate = height * width / fastest(lambda: run(slice(0, height)), repeat) / 1e6
-    quarter, cores = max(2, height // 4), numba.get_num_threads()
-    numba.set_num_threads(1)
+    cores = numba.get_num_threads()
+    seconds = {(case.name, threads): [math.inf] for case in cases for threads in (cores, 1)}
+    for case in cases:
+        case.run(slice(0, 2))  # compiles
     try:
-        single = height * width / fastest(lambda: run(slice(0, height)), repeat) / 1e6
+        for _ in range(max(1, repeat)):
+            for case in cases:
+                for threads in (cores, 1):
+                    numba.set_num_threads(threads)
+                    start = time.perf_counter()
+                    case.run(slice(0, height))
+                    seconds[case.name, threads].append(time.perf_counter() - start)
     finally:
         numba.set_num_threads(cores)
-    error, remark = (more.get("mean"), more.get("worst")), more.get("remark", "")
-    memory = _held(lambda: run(slice(0, quarter))) / (quarter * width)
-    return Row(name, rate, single, height * width, *error, remark, memory)
+    quarter = max(2, height // 4)
+    rows = []
+    for case in cases:
+        memory = _held(partial(case.run, slice(0, quarter))) / (quarter * width)
+        rate, single = (height * width / min(seconds[case.name, threads]) / 1e6 for threads in (cores, 1))
+        rows.append(Row(case.name, rate, single, height * width, case.mean, case.worst, case.remark, memory))
+    return rows
 
 
 def _held(run: Callable[[], Any]) -> float:
@@ -144,25 +166,26 @@ def speed(width: int, height: int, *, crop: int, repeat: int) -> dict[str, Any]:
     every = max(1, -(-width * height // crop))
     few, few_cluster = np.ascontiguousarray(rgb[::every]), np.ascontiguousarray(cluster[::every])
     on_crop = f"rate measured on one row in {every}" if every > 1 else ""
-    rows: list[Row] = []
 
     plain = PlainLoop(emissions, observer=eyes, space=space)
+    cases: list[_Case] = []
+    memory = (np.empty(rgb.shape), np.empty(cluster.shape))
     for steps, name in ((2, "plain loop"), (0, "plain loop, look-up alone")):
         c, s = plain(few, few_cluster, steps=steps)
         error = _errors(few, plain.colours(c, s, few_cluster), space)
-        memory: Any = (np.empty(rgb.shape), np.empty(cluster.shape))
         whole = partial(_rows, partial(plain, steps=steps, out=memory), rgb, cluster)
-        rows.append(_both(name, whole, (height, width), repeat, **error))
+        cases.append(_Case(name, whole, error["mean"], error["worst"]))
     tables = [build_table(light, observer=eyes, space=space) for light in emissions]
+    buffers = Buffers.of(cluster.size)
     for settings in precisions():
         solve: Any = partial(uplift_pixels, tables=tables, **settings)
         found = solve(few, few_cluster)
         shown = rgb_of(found.coefficients, found.scale, found.emission, found.emissions, observer=eyes, space=space)
         error = _errors(few, shown, space, found.status)
-        memory = Buffers.of(cluster.size)
-        whole = partial(_rows, partial(solve, out=memory), rgb, cluster)
-        shares = _shares(found.counts)
-        rows.append(_both(settings.get("precision", "exact"), whole, (height, width), repeat, remark=shares, **error))
+        whole = partial(_rows, partial(solve, out=buffers), rgb, cluster)
+        name = settings.get("precision", "exact")
+        cases.append(_Case(name, whole, error["mean"], error["worst"], _shares(found.counts)))
+    rows = _together(cases, (height, width), repeat)
     rows += _slow_peers(few, few_cluster, emissions, repeat, on_crop)
     peers, skipped = _foreign_peers(rgb, few, repeat, on_crop)
     rows += peers
@@ -219,7 +242,6 @@ def _slow_peers(
     scaled = uplift_scaled(rgb, observer=eyes, space=space)
     shown = rgb_of(scaled.coefficients, scaled.scale, scaled.emission, scaled.emissions, observer=eyes, space=space)
     looks = f"{mixed.visited[mixed.status == Status.EXACT].mean():.2f} look-ups a pixel"
-    notes = "; ".join(note for note in (looks, _shares(mixed.counts), remark) if note)
     tables = [build_table(light, observer=eyes, space=space) for light in emissions]
 
     def in_bands(part: slice) -> None:
@@ -230,26 +252,24 @@ def _slow_peers(
         up = uplift_lattice(rgb[part], cluster[part], lattices)
         spectra_of_lattice(up.cell, up.position, up.scale, up.emission, up.emissions, cube)
 
-    return [
-        _both(
-            "scaled",
-            lambda part: uplift_scaled(rgb[part], observer=eyes, space=space),
-            shape,
-            repeat,
-            remark="; ".join(note for note in (_shares(scaled.counts), remark) if note),
-            **_errors(rgb, shown, space, scaled.status),
-        ),
-        _both(
-            "lattice",
-            lambda part: uplift_lattice(rgb[part], cluster[part], lattices),
-            shape,
-            repeat,
-            remark=notes,
-            **error,
-        ),
-        _both("exact, and its 81 bands", in_bands, shape, repeat, remark=remark),
-        _both("lattice, and its 81 bands", lattice_in_bands, shape, repeat, remark=remark),
+    def scale(part: slice) -> None:
+        uplift_scaled(rgb[part], observer=eyes, space=space)
+
+    def mix(part: slice) -> None:
+        uplift_lattice(rgb[part], cluster[part], lattices)
+
+    plain = _errors(rgb, shown, space, scaled.status)
+    notes = {
+        "scaled": "; ".join(note for note in (_shares(scaled.counts), remark) if note),
+        "lattice": "; ".join(note for note in (looks, _shares(mixed.counts), remark) if note),
+    }
+    cases = [
+        _Case("scaled", scale, plain["mean"], plain["worst"], notes["scaled"]),
+        _Case("lattice", mix, error["mean"], error["worst"], notes["lattice"]),
+        _Case("exact, and its 81 bands", in_bands, remark=remark),
+        _Case("lattice, and its 81 bands", lattice_in_bands, remark=remark),
     ]
+    return _together(cases, shape, repeat)
 
 
 def _foreign_peers(
