@@ -25,6 +25,15 @@ from uplift.spectrum import rgb_space
 
 #: The widest of pbrt's colour spaces whose illuminant is D65.
 SPACE = "ITU-R BT.2020"
+#: What brings the maps from the frame of pbrt's lights into a scene: its up, whether it is mirrored at its head by
+#: `Scale -1 1 1`, where the middle of the map then stands, and the images of x, y and z. pbrt's own frame is left-handed, and
+#: the maps are right in it as they are; so a plain scene needs a rotation (determinant 1), a mirrored one a mirroring (−1).
+TRANSFORMS: tuple[tuple[str, bool, str, tuple[tuple[int, int, int], ...]], ...] = (
+    ("+z", False, "−x", ((1, 0, 0), (0, 1, 0), (0, 0, 1))),
+    ("+y", False, "+z", ((0, 0, -1), (-1, 0, 0), (0, 1, 0))),
+    ("+y", True, "−z", ((0, 0, 1), (-1, 0, 0), (0, 1, 0))),
+    ("+z", True, "−x", ((1, 0, 0), (0, -1, 0), (0, 0, 1))),
+)
 
 
 def export_pbrt(source: Path, folder: Path, *, half: bool = False, progress: Progress = silent) -> Outcome:
@@ -134,11 +143,17 @@ def _scene(lights: list[dict[str, Any]]) -> str:
         '# The environment as pbrt-v4 can have it. Include it in the world block: Include "environment.pbrt"',
         "#",
         "# The maps are in pbrt's own frame: z is up, and u = phi/2pi of the lat-long map from +x towards +y. So the middle of",
-        "# the lat-long map stands towards -x. For a scene whose up is +y and that is mirrored at its head by `Scale -1 1 1`",
-        "# (as scenes from right-handed programs are), remove the # of the next line: the middle then stands towards -z.",
+        "# the lat-long map stands towards -x. That is right for a scene whose up is +z and that is not mirrored. For others",
+        "# remove the first # of one line below. `mirrored` is a scene that has `Scale -1 1 1` before its camera, as those from",
+        "# right-handed programs have; with the line of the other kind the map would be seen mirrored, left for right.",
         "AttributeBegin",
-        "    # ConcatTransform [ 0 0 1 0  -1 0 0 0  0 1 0 0  0 0 0 1 ]",
     ]
+    for up, mirrored, middle, images in TRANSFORMS[1:]:
+        numbers = "  ".join(f"{x} {y} {z} 0" for x, y, z in images)
+        kind = "mirrored" if mirrored else "plain"
+        text.append(
+            f"    # ConcatTransform [ {numbers}  0 0 0 1 ]  # up {up}, {kind}: the middle towards {_ascii(middle)}"
+        )
     for light in lights:
         cct = f", {light['cct']:.0f} K" if light["cct"] else ""
         text += [
@@ -146,6 +161,10 @@ def _scene(lights: list[dict[str, Any]]) -> str:
             f'    LightSource "infinite" "string filename" [ "{light["name"]}.exr" ] "float scale" [ 1 ]',
         ]
     return "\n".join([*text, "AttributeEnd", ""])
+
+
+def _ascii(axis: str) -> str:
+    return axis.replace("−", "-")
 
 
 def _unit(told: str | None) -> str:
@@ -161,6 +180,10 @@ def _readme(figures: dict[str, Any], source: str) -> str:
         f"| {light['mean_luminance']:.4g} | {light['source']} |"
         for light in figures["lights"]
     )
+    transforms = "\n".join(
+        f"| {up} | {'yes' if mirrored else 'no'} | {middle} | {'the line `up ' + up + ', ' + ('mirrored' if mirrored else 'plain') + '`' if k else 'none: as written'} |"
+        for k, (up, mirrored, middle, _) in enumerate(TRANSFORMS)
+    )
     overflow = f"; {figures['overflow']} texels were too bright for a half float" if figures["half"] else ""
     return f"""# {source} for pbrt-v4
 
@@ -173,7 +196,17 @@ left out by its `scale`. Their sum is the whole map.
 {rows}
 
 A map value of 1 is a radiance of 1, white, in the rendered image at pbrt's default exposure (`iso` 100, 1 s): so its sources say, pbrt
-has not been run. In pbrt's frame the middle of the map stands at −x and up is +z; `environment.pbrt` has the transform for scenes of +y. {_unit(figures["unit"])}
+has not been run. {_unit(figures["unit"])}
+
+## Which way is up
+
+As written, `environment.pbrt` is for a scene whose up is +z and that is not mirrored. For others it holds a line each, to be
+uncommented. A scene is mirrored if `Scale -1 1 1` stands before its camera, as in scenes from right-handed programs: with the line
+of the wrong kind the map is seen mirrored, left for right, and lights from the wrong side.
+
+| up | `Scale -1 1 1` before the camera | the middle of the map stands at | transform in `environment.pbrt` |
+|---|---|---|---|
+{transforms}
 
 ## What is kept
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -191,6 +192,72 @@ def test_pbrt_gets_a_square_map_a_light_in_a_space_that_it_knows(made, tmp_path)
     assert abs(outcome.figures["energy_ratio"] - 1) < 0.02
     assert f"{outcome.figures['relight_delta_e']['mean']:.3f}" in (tmp_path / "README.md").read_text(encoding="utf-8")
     assert "pbrt-v4 makes its own spectra" in outcome.warnings[0]
+
+
+def place_in_pbrt(d):
+    """The square's (u, v) of a direction by the formulas of pbrt-v4 (EqualAreaSphereToSquare), one direction at a time."""
+    x, y, z = (abs(float(v)) for v in d)
+    radius = np.sqrt(max(1.0 - z, 0.0))
+    small, large = min(x, y), max(x, y)
+    turn = np.arctan(small / large) * 2 / np.pi if large > 0 else 0.0
+    turn = 1.0 - turn if x < y else turn
+    v, u = turn * radius, radius - turn * radius
+    if d[2] < 0:
+        u, v = 1.0 - v, 1.0 - u
+    return (np.copysign(u, d[0]) + 1) / 2, (np.copysign(v, d[1]) + 1) / 2
+
+
+#: Up, whether the scene is mirrored by Scale -1 1 1, where the camera has to look to see the middle of the map.
+SCENES = [
+    ("+z", False, (-1, 0, 0)),
+    ("+y", False, (0, 0, 1)),
+    ("+y", True, (0, 0, -1)),
+    ("+z", True, (-1, 0, 0)),
+]
+
+
+@pytest.mark.parametrize(("up", "mirrored", "ahead"), SCENES)
+def test_a_camera_of_pbrt_sees_the_map_upright_and_not_mirrored_by_the_transform_for_its_scene(
+    made, tmp_path, up, mirrored, ahead
+):
+    """Red right of the middle, blue left of it, green above it; looked up as pbrt does, where its camera has these places."""
+    export_pbrt(made[0], tmp_path)
+    text = (tmp_path / "environment.pbrt").read_text(encoding="utf-8")
+    kind = "mirrored" if mirrored else "plain"
+    found = re.findall(rf"    # ConcatTransform \[ (.*?) \]  # up \{up}, {kind}", text)
+    if (up, mirrored) == ("+z", False):
+        assert not found and not re.search(r"^ *ConcatTransform", text, re.MULTILINE)  # as written
+        matrix = np.eye(3)
+    else:
+        # pbrt's files hold a matrix column by column.
+        matrix = np.array([float(v) for v in found[0].split()]).reshape(4, 4).T[:3, :3]
+    assert np.linalg.det(matrix) == (-1 if mirrored else 1)
+    height, width = 32, 64
+    latlong = np.zeros((height, width, 3), np.float32)
+    latlong[:, 46:51, 0] = latlong[:, 13:18, 2] = latlong[:2, :, 1] = 1  # u = 3/4, u = 1/4, the zenith
+    latlong[14:18, 30:34] = 1  # the middle
+    square = resampled(latlong, np.zeros((height, width), np.uint8), 0, side_of(width))
+    zenith = np.array({"+y": (0, 1, 0), "+z": (0, 0, 1)}[up], float)
+    # LookAt takes up × forward for the right of the picture; the scale before it turns that into the left.
+    right = np.cross(zenith, ahead) * (-1 if mirrored else 1)
+
+    def seen(direction):
+        u, v = place_in_pbrt(np.linalg.solve(matrix, direction))
+        return tuple(
+            np.round(square[min(int(v * len(square)), len(square) - 1), min(int(u * len(square)), len(square) - 1)], 1)
+        )
+
+    assert seen(np.array(ahead)) == (1, 1, 1)
+    assert seen(right) == (1, 0, 0) and seen(-right) == (0, 0, 1)
+    assert seen(zenith)[1] > 0.9 and seen(-zenith)[1] == 0
+
+
+def test_every_page_on_pbrts_up_says_when_a_scene_is_mirrored(made, tmp_path):
+    export_pbrt(made[0], tmp_path)
+    pages = [tmp_path / "environment.pbrt", tmp_path / "README.md", Path(__file__).parents[2] / "docs" / "export.md"]
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        assert "`Scale -1 1 1`" in text and "mirrored" in text and "plain" in text
 
 
 def test_the_spectra_beside_the_maps_are_the_lamps(made, tmp_path):
