@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from envcal import atomic, exr, provenance
-from envcal.export.opened import Opened, bands, kelvin, open_uplift, undeclared
+from envcal.export.opened import Opened, bands, kelvin, open_uplift, refuse_overwriting, undeclared
 from envcal.export.pbrt import spd
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
@@ -38,6 +38,7 @@ def export_basis(source: Path, folder: Path, *, progress: Progress = silent) -> 
     opened = open_uplift(source)
     coefficients, scale, cluster = _whole(opened)
     used = [int(k) for k in np.unique(cluster[scale > 0])]
+    refuse_overwriting(source, folder, [*(f"light{k}.exr" for k in used), "blank.exr"])
     lights: list[dict[str, Any]] = []
     for number, k in enumerate(used):
         nodes = native_nodes(opened, coefficients, np.where(cluster == k, scale, np.float32(0)), k)

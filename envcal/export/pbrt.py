@@ -18,7 +18,16 @@ import numpy.typing as npt
 from envcal import atomic, exr, provenance
 from envcal.export.loss import loss
 from envcal.export.octahedral import resampled, side_of
-from envcal.export.opened import LARGEST_HALF, Opened, bands, conversion, kelvin, open_uplift, undeclared
+from envcal.export.opened import (
+    LARGEST_HALF,
+    Opened,
+    bands,
+    conversion,
+    kelvin,
+    open_uplift,
+    refuse_overwriting,
+    undeclared,
+)
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
 from uplift.spectrum import rgb_space
@@ -47,6 +56,7 @@ def export_pbrt(source: Path, folder: Path, *, half: bool = False, progress: Pro
     used = [int(k) for k in np.unique(cluster[latlong.max(axis=-1) > 0])]
     side = side_of(opened.size[1])
     steps = len(used) + 1
+    refuse_overwriting(source, folder, [f"light{k}.exr" for k in used])
     lights: list[dict[str, Any]] = []
     overflow = 0
     space = rgb_space(SPACE, observer=opened.observer)

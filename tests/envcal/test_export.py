@@ -20,7 +20,7 @@ from envcal.export.rgb import export_rgb
 from envcal.scene.make import make_scene
 from tests.envcal.small_uplift import EYES, SPACE, small_uplift
 from uplift.radiance import spectra_of
-from uplift.spectrum import observer, rgb_space
+from uplift.spectrum import RGB_SPACES, observer, rgb_space
 
 #: float32 in the file, twice rounded.
 FLOAT32 = 2e-6
@@ -171,6 +171,18 @@ def test_the_readme_of_the_rgb_map_says_where_it_looks_and_what_1_is(made, tmp_p
     export_rgb(made[0], tmp_path)
     text = (tmp_path / "README.md").read_text(encoding="utf-8")
     assert "straight ahead (−Z)" in text and "at the right hand (+X)" in text and "No unit such as cd/m²" in text
+
+
+@pytest.mark.parametrize("space", RGB_SPACES)
+def test_the_readme_names_nukes_input_transform_of_the_space_that_was_written(made, tmp_path, space):
+    export_rgb(made[0], tmp_path, space=space)
+    (line,) = re.findall(r"\*\*Nuke\.\*\* .*", (tmp_path / "README.md").read_text(encoding="utf-8"))
+    # The configurations call the spaces nearly as they are called here.
+    named = {"sRGB": "Utility - Linear - sRGB", "ITU-R BT.2020": "Rec.2020"}.get(space, space)
+    assert f"{named}`" in line and "no further conversion" in line
+    others = {"ACEScg", "ACES2065-1", "P3-D65", "Rec.2020", "Linear - sRGB"} - {named}
+    if space != "Adobe Wide Gamut RGB":  # which newer configurations do not have: ACEScg is advised
+        assert not any(other in line for other in others if other not in named)
 
 
 # ---- pbrt ----
@@ -382,6 +394,27 @@ def test_a_file_that_is_no_uplift_is_refused(work, tmp_path):
     exr.write(tmp_path / "map.exr", dict.fromkeys("RGB", np.ones((4, 8), np.float32)), attributes={})
     with pytest.raises(EnvcalError, match="is not an uplift file"):
         work(tmp_path / "map.exr", tmp_path / "out")
+
+
+@pytest.mark.parametrize("work", [export_rgb, export_pbrt, export_basis, make_scene])
+def test_a_map_without_light_is_refused_and_no_lights_are_asked_for(tmp_path, work):
+    source, _ = small_uplift(tmp_path, black=True)
+    with pytest.raises(EnvcalError, match="there is no light in it") as error:
+        work(source, tmp_path / "out")
+    assert "declare" not in str(error.value) and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("work", "name"),
+    [(export_rgb, "environment_acescg.exr"), (export_pbrt, "light1.exr"), (export_basis, "light0.exr")],
+)
+def test_an_export_never_falls_on_the_uplift_file(made, tmp_path, work, name):
+    (tmp_path / "there").mkdir()
+    source = tmp_path / "there" / name
+    source.write_bytes(made[0].read_bytes())
+    with pytest.raises(EnvcalError, match="is the input, and would overwrite it"):
+        work(source, tmp_path / "there" / ".." / "there")
+    assert source.read_bytes() == made[0].read_bytes() and len(list(source.parent.iterdir())) == 1
 
 
 @pytest.mark.parametrize("work", [export_rgb, export_pbrt, export_basis, make_scene])

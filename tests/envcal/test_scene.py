@@ -78,13 +78,30 @@ def test_without_mitsuba_the_scene_is_written_and_the_warning_says_what_to_insta
     assert (tmp_path / "scene.xml").is_file() and outcome.figures == {"rendered": False}
     assert "pip install" in outcome.warnings[0]
     with pytest.raises(EnvcalError, match="pip install"):
-        make_scene(made, tmp_path, variant="llvm_ad_spectral")
+        make_scene(made, tmp_path / "named", variant="llvm_ad_spectral")
+    assert not (tmp_path / "named").exists()
 
 
 def test_a_variant_without_spectra_is_refused(made, tmp_path, monkeypatch):
     monkeypatch.setattr("envcal.scene.render.set_variant", lambda asked: (asked, None))
     with pytest.raises(EnvcalError, match="has no spectra"):
-        make_scene(made, tmp_path, variant="llvm_ad_rgb")
+        make_scene(made, tmp_path / "scene", variant="llvm_ad_rgb")
+    assert not (tmp_path / "scene").exists()
+
+
+def test_a_render_never_falls_on_the_uplift_file(tmp_path):
+    source, _ = small_uplift(tmp_path)
+    before = source.read_bytes()
+    with pytest.raises(EnvcalError, match=r"the output .*uplift\.exr is the input"):
+        make_scene(source, tmp_path, render=False)
+    assert source.read_bytes() == before and not (tmp_path / "scene.xml").exists()
+
+
+def test_the_command_refuses_a_variant_that_there_is_not_before_it_writes(made, tmp_path):
+    pytest.importorskip("mitsuba")
+    done = CliRunner().invoke(main, ["mitsuba", str(made), "-o", str(tmp_path / "scene"), "--variant", "llvm_spectral"])
+    assert done.exit_code == 1 and "Mitsuba has no variant llvm_spectral" in done.output
+    assert not (tmp_path / "scene").exists()
 
 
 def test_native_rows_interpolate_to_what_middle_rows_do():
