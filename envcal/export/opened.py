@@ -85,6 +85,16 @@ def open_uplift(path: Path) -> Opened:
     return Opened(path, header, about, seen, rgb_space(about.space, observer=seen))
 
 
+def guesses(about: About, consequence: str) -> str:
+    """Return a paragraph for a README, with a blank line before it, where the kind of no light is known; else nothing."""
+    if not undeclared(about):
+        return ""
+    return f"""
+**The kind of no light of this map is known**: all its spectra are smooth guesses. {consequence} If you know the lamps, declare
+them (`envcal uplift MAP --lights lights.yaml`, or `cluster: lights` in pipeline.yaml) and export again.
+"""
+
+
 def refuse_overwriting(source: Path, folder: Path, names: Iterable[str]) -> None:
     """Refuse a folder in which a file of one of these names is the uplift file itself, also by way of links."""
     for name in names:

@@ -23,6 +23,7 @@ from envcal.export.opened import (
     Opened,
     bands,
     conversion,
+    guesses,
     kelvin,
     open_uplift,
     refuse_overwriting,
@@ -34,6 +35,11 @@ from uplift.spectrum import rgb_space
 
 #: The widest of pbrt's colour spaces whose illuminant is D65.
 SPACE = "ITU-R BT.2020"
+#: What it means for pbrt's README that the lamps are not known.
+GUESSED = (
+    "So both sides of the comparison below are guesses: a small difference says that two guesses agree, not that pbrt lights as the "
+    "place did."
+)
 #: What brings the maps from the frame of pbrt's lights into a scene: its up, whether it is mirrored at its head by
 #: `Scale -1 1 1`, where the middle of the map then stands, and the images of x, y and z. pbrt's own frame is left-handed, and
 #: the maps are right in it as they are; so a plain scene needs a rotation (determinant 1), a mirrored one a mirroring (−1).
@@ -88,6 +94,7 @@ def export_pbrt(source: Path, folder: Path, *, half: bool = False, progress: Pro
                 "cct": about.cct,
                 "source": about.source,
                 "mean_luminance": float(mean),
+                "brightest": float((latlong[cluster == k] @ space.luminance_weights).max()),
             }
         )
         progress(number + 1, steps)
@@ -104,10 +111,11 @@ def export_pbrt(source: Path, folder: Path, *, half: bool = False, progress: Pro
         "negative": clipped,
         "overflow": overflow,
         "relight_delta_e": lost,
+        "guessed": bool(undeclared(opened.about)),
         "unit": None if opened.unit is None else opened.unit.told(),
     }
     atomic.write_text(folder / "environment.pbrt", _scene(lights))
-    atomic.write_text(folder / "README.md", _readme(figures, source.name))
+    atomic.write_text(folder / "README.md", _readme(figures, source.name, guesses(opened.about, GUESSED)))
     warnings = [
         f"pbrt-v4 makes its own spectra from RGB: what single pixels light is off by ΔE2000 {lost['mean']:.2f} in the mean "
         f"({lost['p95']:.2f} at the 95th percentile) against this file's spectra. README.md says more."
@@ -183,11 +191,11 @@ def _unit(told: str | None) -> str:
     return f"Values are {told}: the sums of the maps are luminances."
 
 
-def _readme(figures: dict[str, Any], source: str) -> str:
+def _readme(figures: dict[str, Any], source: str, guessed: str) -> str:
     lost = figures["relight_delta_e"]
     rows = "\n".join(
         f"| `{light['name']}.exr` | {light['type']} | {kelvin(light['cct'])} "
-        f"| {light['mean_luminance']:.4g} | {light['source']} |"
+        f"| {light['mean_luminance']:.4g} | {light['brightest']:.4g} | {light['source']} |"
         for light in figures["lights"]
     )
     transforms = "\n".join(
@@ -201,8 +209,8 @@ def _readme(figures: dict[str, Any], source: str) -> str:
 equal-area layout that pbrt-v4 wants (`imgtool makeequiarea` has been done); one for each light, so that a light can be dimmed or
 left out by its `scale`. Their sum is the whole map.
 
-| map | type | CCT | mean luminance | spectrum |
-|---|---|---|---|---|
+| map | type | CCT | mean luminance | of the brightest pixel | spectrum |
+|---|---|---|---|---|---|
 {rows}
 
 A map value of 1 is a radiance of 1, white, in the rendered image at pbrt's default exposure (`iso` 100, 1 s): so its sources say, pbrt
@@ -226,9 +234,21 @@ outside of Rec. 2020 and lost their negative components{overflow}.
 ## What is lost
 
 The spectra. pbrt-v4 gives an RGB pixel of an infinite light the spectrum 2·max(rgb) · sigmoid · D65 whatever lamp there was, and an
-infinite light with a spectrum (`"spectrum L"`) cannot have an image. `lightN.spd` are the lamps' spectra, Σ ȳ·E·Δλ = 1, for lights
-that you model by hand: an area light with `"spectrum L" [ "light0.spd" ]`.
+infinite light with a spectrum (`"spectrum L"`) cannot have an image.
 
+## A lamp by hand
+
+`lightN.spd` are the lamps' spectra, for lights that you model yourself:
+
+    AreaLightSource "diffuse" "spectrum L" [ "light0.spd" ] "float scale" [ Y ]
+
+pbrt divides a light's spectrum by its luminance, so the values in the file have no brightness (here Σ ȳ·E·Δλ = 1), and `scale` alone is the luminance,
+in the unit of the maps: a `scale` of 1 is as bright as a map value of (1, 1, 1) at the map's own `scale` of 1. To match the map, Y is the
+mean of 0.2627 R + 0.6780 G + 0.0593 B over the lamp in it, at most what the table above has for its brightest pixel. Paint the lamp black in the
+map then, or it lights the scene twice.
+
+## By how much
+{guessed}
 Measured on {lost["pixels"]} pixels of this map, evenly over the sphere: 24 ColorChecker patches lit by the pixel's spectrum, and by the
 spectrum that pbrt makes of its RGB (solved exactly; pbrt's table adds its own interpolation error).
 

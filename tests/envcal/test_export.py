@@ -2,6 +2,9 @@
 
 import json
 import re
+import runpy
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -355,6 +358,78 @@ def test_the_folder_for_passes_is_complete(made, tmp_path):
         assert all(np.loadtxt(tmp_path / f"{axis}_{light['name']}.spd").shape == (471, 2) for axis in "XYZ")
     compile((tmp_path / "passes.py").read_text(encoding="utf-8"), "passes.py", "exec")
     assert "`passes.py` fills in `$basis`" in (tmp_path / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_pages_of_pbrt_and_basis_say_that_undeclared_lights_are_guesses(made, tmp_path, monkeypatch):
+    told = re.compile(r"kind of no light of this map is known\*\*.*declare\s+them", re.DOTALL)
+    for known in (True, False):
+        if not known:
+            monkeypatch.setattr("envcal.export.opened.undeclared", lambda _about: ["declare"])
+        for work in (export_pbrt, export_basis):
+            folder = tmp_path / f"{work.__name__}-{known}"
+            work(made[0], folder)
+            text = (folder / "README.md").read_text(encoding="utf-8")
+            assert bool(told.search(text)) is not known
+    text = (tmp_path / "export_pbrt-False" / "README.md").read_text(encoding="utf-8")
+    # Before the table of ΔE2000, which is what it is about.
+    assert text.index("both sides of the comparison below are guesses") < text.index("| ΔE2000 | |")
+
+
+def test_the_readme_of_pbrt_says_how_bright_a_lamp_by_hand_is(made, tmp_path):
+    figures = export_pbrt(made[0], tmp_path).figures
+    text = (tmp_path / "README.md").read_text(encoding="utf-8")
+    luminance = made[1].astype(float) @ rgb_space(SPACE, observer=EYES).luminance_weights
+    for k, light in enumerate(figures["lights"]):
+        assert light["brightest"] == pytest.approx(luminance[:, 8 * k : 8 * k + 8].max(), rel=STORED)
+        assert f"| {light['brightest']:.4g} |" in text
+    weights = re.search(r"([\d.]+) R \+ ([\d.]+) G \+ ([\d.]+) B", text).groups()
+    np.testing.assert_allclose(
+        [float(w) for w in weights], rgb_space(SPACE, observer=EYES).luminance_weights, atol=1e-4
+    )
+    assert '"float scale" [ Y ]' in text
+
+
+@pytest.fixture
+def passes(made, tmp_path):
+    """The script of an exported folder, in Mitsuba's scalar variant."""
+    mi = pytest.importorskip("mitsuba")
+    export_basis(made[0], tmp_path)
+    mi.set_variant("scalar_spectral")
+    return runpy.run_path(str(tmp_path / "passes.py"))
+
+
+def test_the_example_scene_takes_the_lights(passes, tmp_path):
+    assert (tmp_path / "example.xml").read_text(encoding="utf-8") in (tmp_path / "README.md").read_text(
+        encoding="utf-8"
+    )
+    for name in ("light0", "light1"):
+        scene = passes["load"](tmp_path / "example.xml", name, {})
+        passes["put_light"](scene, name)
+
+
+@pytest.mark.parametrize(
+    "used",
+    ["", "<!-- $basis -->", '<emitter type="envmap"><string name="filename" value="$basis/blank.exr"/></emitter>'],
+)
+def test_a_scene_that_does_not_ask_for_the_lights_is_told_what_to_write(passes, tmp_path, used):
+    scene = tmp_path / "mine.xml"
+    scene.write_text(f'<scene version="3.0.0"><integrator type="path"/>{used}</scene>', encoding="utf-8")
+    with pytest.raises(SystemExit, match=r"mine\.xml: does not use both \$basis and \$light.*example\.xml"):
+        passes["render"](scene, 4)
+
+
+def test_other_mistakes_of_a_scene_stay_mitsubas(passes, tmp_path):
+    (tmp_path / "mine.xml").write_text("<scene", encoding="utf-8")
+    with pytest.raises(RuntimeError):
+        passes["render"](tmp_path / "mine.xml", 4)
+
+
+def test_passes_want_a_spectral_variant(made, tmp_path):
+    pytest.importorskip("mitsuba")
+    export_basis(made[0], tmp_path)
+    command = [sys.executable, str(tmp_path / "passes.py"), "example.xml", "-o", "out.exr", "--variant", "scalar_rgb"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert done.returncode == 2 and "expected a spectral one of this Mitsuba: scalar_spectral" in done.stderr
 
 
 @pytest.mark.parametrize(("types", "hinted"), [(("smooth", "smooth"), True), (("smooth", "led"), False), ((), False)])
