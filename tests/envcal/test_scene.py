@@ -205,11 +205,26 @@ def test_background_that_srgb_cannot_show_is_counted_apart_and_things_are_not():
     assert found.largest > 2  # the things in the upper rows have such a colour, too, and are counted
 
 
+def test_what_is_counted_apart_is_hatched_in_grey_and_has_no_say_in_the_scale():
+    delta_e = np.full((60, 200), 1.5)
+    delta_e[:20] = 19.0
+    apart = delta_e > 10
+    shown = pictures.difference_picture(pictures.Difference(delta_e, 1.5, 1.5, 1.5, 0.1, 1 / 3, 19.0, apart))[:60]
+    above, below = shown[:20].astype(int), shown[20:60].astype(int)
+    assert (np.ptp(above, axis=2) == 0).all() and len(np.unique(above)) == 2  # two greys
+    assert (np.ptp(below, axis=2) > 50).all()  # colours of the scale, which ends at 2 and not at 20
+    end = pictures.scale_end(pictures.Difference(delta_e, 1.5, 1.5, 1.5, 0.1, 1 / 3, 19.0, apart))
+    assert end == 2.0 and "hatched" in " ".join(
+        pictures.caption(pictures.Difference(delta_e, 1, 1, 1, 0, 1 / 3, 19.0, apart))
+    )
+
+
 def test_a_picture_of_such_background_alone_is_still_measured():
     image = np.full((8, 8, 3), [-0.1, 0.5, 0.2])
     first = replace(rendered(image, 0.0, 1), background=np.ones((8, 8), bool))
     found = pictures.compare(first, rendered(np.maximum(image, 0), 0.0, 2), gain=1.0)
     assert found.outside == 1 and found.mean == found.outside_mean > 2
+    assert pictures.scale_end(found) >= found.mean  # all of it says how far the scale goes, as none else can
 
 
 # ---- the command ----
