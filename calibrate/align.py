@@ -13,7 +13,7 @@ Left out: rotation, change of focal length, parallax, rolling shutter; 6×6 patt
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -23,10 +23,10 @@ from numba import njit, prange
 
 from calibrate import CalibrateError
 from calibrate.exposure import BAYER_PATTERNS, MONOCHROME, FrameInfo
-from calibrate.merge.measure import decoded
-from calibrate.merge.records import Counts, Exposure, MosaicFrame
+from calibrate.merge.quads import quads_of
+from calibrate.merge.records import Counts, Exposure, MosaicFrame, Plane
+from calibrate.merge.survey import decoded
 
-Plane = npt.NDArray[np.float32]
 Shift = tuple[float, float]
 
 # All lengths here are in means of 2×2, half the scale of the photosites, unless they say otherwise.
@@ -40,6 +40,11 @@ _KNOWN, FEWEST_TILES, _AGREE, _AGREEING = 0.05, 4, 0.2, 0.6
 
 # A shift is worth it from here on, and if the frames differ less by this share after it.
 _SMALLEST, _GAIN = 0.06, 0.1
+
+# Frames of one scene share its fine structure. A tile tells where both frames have some, of this standard deviation (logarithm;
+# noise has less, see `_seen`), and agrees from this correlation on; chance reaches a tenth of it. So many tiles must tell, and so
+# many of them agree.
+_FINE, _STRUCTURE, _ALIKE, _TELLING, _IN_COMMON = 4.0, 0.06, 0.4, 4, 0.2
 
 # Photosites: a remainder below this is not interpolated.
 _NEGLIGIBLE = 0.02
@@ -84,7 +89,7 @@ def find_displacements(frames: Sequence[MosaicFrame], exposures: Sequence[Exposu
     Raises
     ------
     CalibrateError
-        Frames that are no Bayer or monochrome mosaics, or too small to tell.
+        Frames that are no Bayer or monochrome mosaics, too small to tell, or of different scenes.
     """
     info = frames[0].info
     if info.cfa not in (*BAYER_PATTERNS, MONOCHROME):
@@ -102,10 +107,11 @@ def find_displacements(frames: Sequence[MosaicFrame], exposures: Sequence[Exposu
     before: tuple[int, Plane, float, float] | None = None
     for k in order:
         e = exposures[k]
-        image, low, high = _means(decoded(frames[k]), e)
+        image, low, high = _seen(frames[k], e)
         if before is not None:
             links[before[0], k] = _compare(before[1], image, low=before[2], high=high)
         before = k, image, low, high
+    _refuse_strangers(frames, links)
     middle = (len(order) - 1) // 2
     out: list[Displacement | None] = [None] * len(frames)
     out[order[middle]] = Displacement((0.0, 0.0), False, 0, 1.0, 0.0)
@@ -118,6 +124,19 @@ def find_displacements(frames: Sequence[MosaicFrame], exposures: Sequence[Exposu
             moved = bool(np.hypot(rows, columns) >= 2 * _SMALLEST)
             out[other] = Displacement((rows, columns), moved, link.tiles, link.agreement, link.gain)
     return tuple(d for d in out if d is not None)
+
+
+def _refuse_strangers(frames: Sequence[MosaicFrame], links: Mapping[tuple[int, int], "_Link"]) -> None:
+    """Raise for every pair of neighbours that have structure, but none in common."""
+    mistakes = [
+        f"{frames[other].info.name}: has nothing in common with {frames[one].info.name}, its neighbour in exposure: "
+        f"{link.alike} of {link.told} parts of the picture agree at any shift, at least {_IN_COMMON:.0%} are expected. "
+        "Take the one that shows something else out of the bracket, or set `merge.align: false`."
+        for (one, other), link in links.items()
+        if link.told >= _TELLING and link.alike < _IN_COMMON * link.told
+    ]
+    if mistakes:
+        raise CalibrateError("\n".join(mistakes))
 
 
 def shifted(mosaic: Counts, shift: Shift, *, clip: npt.NDArray[np.float64], step: int) -> Counts:
@@ -149,25 +168,15 @@ def _catmull_rom(at: float) -> npt.NDArray[np.float64]:
     return five if at >= 0 else five[::-1].copy()
 
 
-def _means(mosaic: Counts, e: Exposure) -> tuple[Plane, float, float]:
+def _seen(frame: MosaicFrame, e: Exposure) -> tuple[Plane, float, float]:
     """Return radiances of 2×2 photosites, clipped ones at the ceiling, and the range that the frame sees."""
-    height, width = mosaic.shape[0] // 2 * 2, mosaic.shape[1] // 2 * 2
-    total = np.zeros((height // 2, width // 2), np.float32)
-    over = np.zeros(total.shape, np.bool_)
-    scale = 0.0
-    for k in range(4):
-        p = k % len(e.clip)
-        part = mosaic[k // 2 : height : 2, k % 2 : width : 2]
-        total += part.astype(np.float32) - np.float32(e.black[p])
-        over |= part >= e.clip[p]
-        scale += float(e.light[p] * e.span[p])
+    quads = quads_of(decoded(frame), e)
     high = float(np.min((e.clip - e.black) / (e.light * e.span)))
-    total /= np.float32(scale)
-    total[over] = high
-    noise = 2.0 * e.read_noise_e / e.gain_e_per_dn / scale
+    quads.mean[quads.clipped > 0] = high
+    noise = 2.0 * e.read_noise_e / e.gain_e_per_dn / quads.scale
     # Where shot noise is a tenth of the signal.
-    shot = 100.0 / (e.gain_e_per_dn * scale)
-    return total, max(10.0 * noise, shot), high
+    shot = 100.0 / (e.gain_e_per_dn * quads.scale)
+    return quads.mean, max(10.0 * noise, shot), high
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,12 +186,14 @@ class _Link:
     tiles: int
     agreement: float
     gain: float
+    told: int
+    alike: int
 
 
 def _compare(one: Plane, other: Plane, *, low: float, high: float) -> _Link:
     """Return the shift of `other` against `one`: other(x + shift) = one(x)."""
     if high <= 1.5 * low:
-        return _Link((0.0, 0.0), False, 0, 0.0, 0.0)
+        return _Link((0.0, 0.0), False, 0, 0.0, 0.0, 0, 0)
     a, b = (
         cv2.GaussianBlur(np.log(np.clip(image, np.float32(low), np.float32(high))), (0, 0), _BLUR)
         for image in (one, other)
@@ -190,14 +201,19 @@ def _compare(one: Plane, other: Plane, *, low: float, high: float) -> _Link:
     start = _coarse(a, b)
     height, width = a.shape
     tile = min(_TILE, height // 2, width // 2)
-    found = []
+    fine_a, fine_b = (image - cv2.GaussianBlur(image, (0, 0), _FINE) for image in (a, b))
+    found, told, alike = [], 0, 0
     for y in np.linspace(0, height - tile, _TILES).astype(int):
         for x in np.linspace(0, width - tile, _TILES).astype(int):
-            spoken = _refine(a, b, (int(y), int(x)), tile, start)
+            corner = int(y), int(x)
+            spoken = _refine(a, b, corner, tile, start)
             if spoken is not None:
-                found.append((int(y), int(x), spoken))
+                found.append((*corner, spoken))
+            likeness = [_likeness(fine_a, fine_b, corner, tile, at) for at in (spoken or start, (0.0, 0.0))]
+            told += likeness[0] is not None
+            alike += any(value is not None and value >= _ALIKE for value in likeness)
     if len(found) < FEWEST_TILES:
-        return _Link((0.0, 0.0), False, len(found), 0.0, 0.0)
+        return _Link((0.0, 0.0), False, len(found), 0.0, 0.0, told, alike)
     shifts = np.array([shift for *_, shift in found])
     middle = np.median(shifts, axis=0)
     near = np.hypot(*(shifts - middle).T) <= _AGREE
@@ -209,7 +225,7 @@ def _compare(one: Plane, other: Plane, *, low: float, high: float) -> _Link:
         gains.append(1.0 - moved / still if still > 0 else 0.0)
     gain = float(np.median(gains))
     proven = agreement >= _AGREEING and bool(np.hypot(*middle) >= _SMALLEST) and gain >= _GAIN
-    return _Link((float(middle[0]), float(middle[1])), proven, len(found), agreement, gain)
+    return _Link((float(middle[0]), float(middle[1])), proven, len(found), agreement, gain, told, alike)
 
 
 def _coarse(a: Plane, b: Plane) -> Shift:
@@ -224,6 +240,16 @@ def _coarse(a: Plane, b: Plane) -> Shift:
 def _cut(image: Plane, corner: tuple[int, int], tile: int, shift: Shift) -> Plane:
     centre = (corner[1] + shift[1] + (tile - 1) / 2, corner[0] + shift[0] + (tile - 1) / 2)
     return np.asarray(cv2.getRectSubPix(image, (tile, tile), centre), np.float32)
+
+
+def _likeness(a: Plane, b: Plane, corner: tuple[int, int], tile: int, shift: Shift) -> float | None:
+    """Return the correlation of a tile with what stands in its place, None where one of the two is without structure."""
+    part = a[corner[0] : corner[0] + tile, corner[1] : corner[1] + tile].ravel()
+    moved = _cut(b, corner, tile, shift).ravel()
+    spread = float(part.std()), float(moved.std())
+    if min(spread) < _STRUCTURE:
+        return None
+    return float(np.mean((part - part.mean()) * (moved - moved.mean()))) / (spread[0] * spread[1])
 
 
 def _difference(a: Plane, b: Plane, corner: tuple[int, int], tile: int, shift: Shift) -> float:

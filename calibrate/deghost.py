@@ -4,7 +4,8 @@ One frame, the longest that hardly clips, says what the scene was; where it clip
 Every other frame is compared with it on means of 2×2 photosites, over windows of 5×5 of them: the mean difference and the
 mean square of it, in units of the noise that the model expects of both (plus one per cent, and plus what a shift of a tenth
 of a photosite would do, so that an edge is no evidence). Where one of them could not happen by chance, the frame is left out
-of the merge, with a margin. Where there is no evidence, every frame counts.
+of the merge, with a margin. A clipped sample is evidence too, of at least its light; where only some of the 2×2 clip, a frame
+follows the others' verdict. Where there is no evidence, every frame counts.
 
 Left out: movement that is smaller than the noise, and colour: what moves must be brighter or darker.
 """
@@ -18,16 +19,19 @@ import numpy.typing as npt
 
 from calibrate import CalibrateError
 from calibrate.exposure import BAYER_PATTERNS, MONOCHROME
-from calibrate.merge.measure import decoded
-from calibrate.merge.records import Counts, Exposure, MosaicFrame
+from calibrate.merge.quads import quads_of
+from calibrate.merge.records import Exposure, MosaicFrame, Plane
+from calibrate.merge.survey import decoded
 
-Plane = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.uint8]
 
 _WINDOW = 5
 
 # Standard deviations of a window's mean, and of its mean square, that chance reaches in less than 10⁻⁶ of all windows.
 _MEAN_SIGMA, _SQUARE_SIGMA = 5.0, 8.0
+
+# A place with clipped samples is evidence only by so many standard deviations of its own: one side of chance is cut off there.
+_CLIPPED_SIGMA = 4.0
 
 # Frames never agree better than to this share (a shutter's run, a lamp's ripple).
 _UNSURE = 0.01
@@ -73,7 +77,7 @@ def find_ghosts(frames: Sequence[MosaicFrame], exposures: Sequence[Exposure]) ->
     known: npt.NDArray[np.bool_] | None = None
     source: Mask | None = None
     for k in order[::-1]:
-        mean, var, valid = _means(decoded(frames[k]), exposures[k])
+        mean, var, valid, _ = _seen(frames[k], exposures[k])
         if truth is None:
             if valid.mean() < 1.0 - _CLIPPED and k != order[0]:
                 continue
@@ -88,37 +92,31 @@ def find_ghosts(frames: Sequence[MosaicFrame], exposures: Sequence[Exposure]) ->
     assert truth is not None and variance is not None and known is not None and source is not None
     slope = _slope(truth)
     masks = [np.zeros(truth.shape, np.uint8) for _ in frames]
+    untold = [np.zeros(truth.shape, np.bool_) for _ in frames]
     for k in order:
         if k == reference and bool((source == k).all()):
             continue
-        mean, var, valid = _means(decoded(frames[k]), exposures[k])
-        compared = valid & known & (source != k)
+        mean, var, valid, partly = _seen(frames[k], exposures[k])
+        compared = (valid | _outshines(mean, var, truth, variance, slope)) & known & (source != k)
         moved = _contradicts(mean, var, truth, variance, slope, compared)
         # What a frame itself vouches for is not left out of it.
         masks[k] = (moved & known & (source != k)).astype(np.uint8)
+        untold[k] = partly & known & (source != k)
+    # Where one colour clips, the mean tells nothing of the others; what moved in another frame is not trusted there.
+    somewhere = np.maximum.reduce(masks)
+    for mask, silent in zip(masks, untold, strict=True):
+        mask[silent] |= somewhere[silent]
     return Ghosts(tuple(masks), reference, tuple(float(m.mean()) for m in masks))
 
 
-def _means(mosaic: Counts, e: Exposure) -> tuple[Plane, Plane, npt.NDArray[np.bool_]]:
-    """Return mean radiance of 2×2 photosites, its variance by the noise model less the shot noise's signal, and validity."""
-    height, width = mosaic.shape
-    if height % 2 or width % 2:
-        mosaic = np.pad(mosaic, ((0, height % 2), (0, width % 2)), mode="edge")
-    total = np.zeros((mosaic.shape[0] // 2, mosaic.shape[1] // 2), np.float32)
-    valid = np.ones(total.shape, np.bool_)
-    scale = 0.0
-    for k in range(4):
-        p = k % len(e.clip)
-        part = mosaic[k // 2 :: 2, k % 2 :: 2]
-        total += part.astype(np.float32) - np.float32(e.black[p])
-        valid &= part < e.clip[p]
-        scale += float(e.light[p] * e.span[p])
+def _seen(frame: MosaicFrame, e: Exposure) -> tuple[Plane, Plane, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Return mean radiance of 2×2 photosites, its variance by the noise model, where none clips, and where some do."""
+    quads = quads_of(decoded(frame), e)
     read2 = 4.0 * (e.read_noise_e / e.gain_e_per_dn) ** 2
     # The square root of a few counts is not known from them: smoothed, as neighbours are alike.
-    expected = np.maximum(cv2.blur(total, (3, 3)), np.float32(0))
-    var = (np.float32(read2) + expected / np.float32(e.gain_e_per_dn)) / np.float32(scale**2)
-    total /= np.float32(scale)
-    return total, var.astype(np.float32), valid
+    expected = np.maximum(cv2.blur(quads.mean, (3, 3)), np.float32(0))
+    var = np.float32(read2 / quads.scale**2) + expected * np.float32(1.0 / (e.gain_e_per_dn * quads.scale))
+    return quads.mean, np.asarray(var, np.float32), quads.clipped == 0, (quads.clipped > 0) & (quads.clipped < 4)
 
 
 def _slope(image: Plane) -> Plane:
@@ -127,12 +125,24 @@ def _slope(image: Plane) -> Plane:
     return np.asarray(cv2.dilate(image, cube) - cv2.erode(image, cube), np.float32)
 
 
+def _looseness(mean: Plane, truth: Plane, slope: Plane) -> Plane:
+    """Return the variance of what makes frames differ besides noise and movement."""
+    unsure, jitter = np.float32(_UNSURE) * np.maximum(np.abs(truth), np.abs(mean)), np.float32(_JITTER) * slope
+    return np.asarray(unsure**2 + jitter**2, np.float32)
+
+
+def _outshines(mean: Plane, var: Plane, truth: Plane, variance: Plane, slope: Plane) -> npt.NDArray[np.bool_]:
+    """Return where a frame is clearly brighter than the truth: also a clipped sample, which is at least that bright, tells."""
+    surely = (mean - truth) ** 2 > np.float32(_CLIPPED_SIGMA**2) * (var + variance + _looseness(mean, truth, slope))
+    return np.asarray(surely & (mean > truth), np.bool_)
+
+
 def _contradicts(
     mean: Plane, var: Plane, truth: Plane, variance: Plane, slope: Plane, compared: npt.NDArray[np.bool_]
 ) -> npt.NDArray[np.bool_]:
     count = cv2.boxFilter(compared.astype(np.float32), -1, (_WINDOW, _WINDOW), normalize=False)
     noise = var + variance
-    loose = (np.float32(_UNSURE) * np.maximum(np.abs(truth), np.abs(mean))) ** 2 + (np.float32(_JITTER) * slope) ** 2
+    loose = _looseness(mean, truth, slope)
     off = np.where(compared, mean - truth, np.float32(0))
     # A common error of all places of a window does not average out: it counts in full.
     total = cv2.boxFilter(off, -1, (_WINDOW, _WINDOW), normalize=False)

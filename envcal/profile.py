@@ -78,7 +78,8 @@ class Chart(_Part):
 class Lamp(_Part):
     """Where the lamp was and what it read."""
 
-    found: Literal["auto", "settings"]
+    found: Literal["auto", "settings", "pair"]
+    """By a search, named by the settings, or lit between two brackets."""
     polygon: list[tuple[float, float]]
     pixels: int
     clipped: int

@@ -19,6 +19,7 @@ from typing import Any
 
 from envcal import __version__, atomic
 from envcal.config import Loaded
+from envcal.config.loading import LAMP_OFF
 from envcal.errors import EnvcalError
 from envcal.lens_data import database_files
 from envcal.reporter import Reporter
@@ -61,8 +62,9 @@ class Stage:
     """A row of the table: what the stage reads, writes and depends on.
 
     `inputs` and `outputs` are names below the output folder; `{shot}` stands for every shot, `{map}` for the shots
-    of the environment, `{frames}` for all RAW frames, `{darkroom}` for the dark frame, the flat field and the lens database, `{chart}` and `{lamp}`
-    for the files that `correct` and `balance` name, and `{spectra}` for measured spectra and further profiles that the
+    of the environment, `{frames}` for all RAW frames, `{darkroom}` for the dark frame, the flat field and the lens database,
+    `{chart}` and `{lamp}` for the files that `correct` and `balance` name, `{pair}` for the merged shots with the lamp on and
+    off, and `{spectra}` for measured spectra and further profiles that the
     settings name.
     `settings` names the parts of the settings on which the result depends.
     """
@@ -93,6 +95,8 @@ def expand(names: Sequence[str], run: Run) -> list[Path]:
             named = [loaded.path.parent / path for path in (balance.spectrum, balance.camera) if path is not None]
             # A camera may also be a name.
             paths += [path for path in named if path.is_file()]
+        elif name == "{pair}":
+            paths += [run.path(f"merge/{shot}.exr") for shot in ("reference", LAMP_OFF) if loaded.lamp_off]
         elif name == "{spectra}":
             paths += [light.spd for light in loaded.lights if light.spd is not None]
             library, sky_model = loaded.settings.cluster.library, loaded.settings.cluster.sky_model

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
+from envcal.config.loading import LAMP_OFF
 from envcal.runner import Outcome, Run, Stage, map_shots
 
 
@@ -12,11 +13,17 @@ def _merge(run: Run) -> Outcome:
 
     settings = rooted(run.loaded.settings.merge, run.loaded.path.parent)
     refuse_unknown_names(settings, run.loaded.shots)
+    # What changed between lamp on and lamp off is judged by the noise of both.
+    noisy = ("reference", LAMP_OFF) if run.loaded.lamp_off else ()
+    known = settings.model_copy(update={"deviation": True})
     return _each(
         run,
         run.loaded.shots,
         lambda shot, progress: merge(
-            run.loaded.shots[shot], run.path(f"merge/{shot}.exr"), settings, progress=progress
+            run.loaded.shots[shot],
+            run.path(f"merge/{shot}.exr"),
+            known if shot in noisy else settings,
+            progress=progress,
         ),
     )
 
@@ -44,8 +51,13 @@ def _balance(run: Run) -> Outcome:
     from envcal.steps.balance import balance, calibrate_on_lamp
 
     settings = run.loaded.settings.balance
+    pair = (run.path("merge/reference.exr"), run.path(f"merge/{LAMP_OFF}.exr")) if run.loaded.lamp_off else None
     profile = calibrate_on_lamp(
-        run.path("correct/reference.exr"), settings, run.loaded.settings.photometry, folder=run.loaded.folder
+        run.path("correct/reference.exr"),
+        settings,
+        run.loaded.settings.photometry,
+        folder=run.loaded.folder,
+        pair=pair,
     )
     profile.write(run.path("balance/profile.json"))
     outcome = _each(
@@ -139,7 +151,7 @@ STAGES: tuple[Stage, ...] = (
         name="balance",
         light="lamp of known spectrum found in the reference shot → von Kries, applied to every shot",
         settings=("balance", "photometry"),
-        inputs=("correct/{shot}.exr", "{lamp}"),
+        inputs=("correct/{shot}.exr", "{lamp}", "{pair}"),
         outputs=("balance/{shot}.exr", "balance/profile.json"),
         work=_balance,
     ),

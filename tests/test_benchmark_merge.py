@@ -21,6 +21,7 @@ def test_the_bracket_covers_its_truth_and_the_ideal_estimator_is_unbiased(tmp_pa
         assert abs(bias) < 0.2 * rmse
 
 
+@pytest.mark.slow
 def test_envcal_is_measured_beside_the_ideal_and_a_missing_library_is_named() -> None:
     ways = ("envcal", "HDRutils")
     rows, ideal = merge.measure((300, 200), 7, faulty=True, peers=Path(sys.executable), ways=ways)

@@ -315,11 +315,12 @@ def test_a_profile_applied_by_hand_gives_what_the_commands_give(tmp_path, monkey
 
 def test_the_uplift_stands_alone_as_the_page_of_its_functions_shows(tmp_path, monkeypatch):
     blocks = python_blocks(DOCS / "api.md")
-    assert len(blocks) == 6
     (tmp_path / "notebook.py").write_text("\n".join(blocks), encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     left = runpy.run_path(str(tmp_path / "notebook.py"))
     found, seen, rgb = left["found"], left["seen"], left["rgb"]
+    # Tiles in memory that is used again, in preview: a scale differs by less than a just noticeable difference.
+    assert left["brightest"] == pytest.approx(found.scale.max(), rel=0.01)
     # What is exact under one of the lights comes back; nothing here is moved.
     assert set(np.unique(found.status)) <= {Status.EXACT, Status.FALLBACK}
     np.testing.assert_allclose(left["back"], rgb, rtol=0, atol=1e-9)

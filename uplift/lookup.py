@@ -13,7 +13,7 @@ from numba import njit, prange
 from uplift.lanes import C0, C1, C2, ERROR, G0, G1, G2, LANES, TERMS, newton_lanes
 from uplift.polynomial import TRIES, about, in_nm, stored
 from uplift.reach import EXACT
-from uplift.surface import CUBIC, LINEAR, cubic, linear
+from uplift.surface import CUBIC, CURVED, LINEAR, cubic, linear
 
 PREVIEW, FLOAT, ALL = 0, 1, 2  # precisions
 PENDING, STRAY = 5, 6  # a status for what is left, and a count of pixels whose light is none of those given
@@ -189,7 +189,7 @@ def _answer(  # type: ignore[no-untyped-def]
     """Answer the pixels of a run whose cell is smooth enough; write the others to `left` and return their number."""
     a, b = a_and_b[0], a_and_b[1]
     bb, abb2, ab, abab = b * b, 2.0 * (a * b * b), a * b, (a * b) * (a * b)
-    enough = LINEAR | CUBIC if precision == PREVIEW else CUBIC
+    enough = LINEAR | CURVED if precision == PREVIEW else CUBIC
     cells, nodes = k * np.uintp(3 * (n - 1) * (n - 1)), k * np.uintp(3 * n * n)
     many = 0
     for at in range(np.uintp(length)):

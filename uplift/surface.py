@@ -18,7 +18,9 @@ from uplift.sigmoid import SUMS
 from uplift.spectrum import Float64, RGBSpace
 
 PREVIEW_DELTA_E, FLOAT_DELTA_E = 0.05, 1e-4  # ΔE2000 that the two coarser precisions allow
-USABLE, LINEAR, CUBIC = 1, 2, 4  # bits of a cell's grade
+# Bits of a cell's grade: a start for Newton's method; linear interpolation good enough for previews; cubic interpolation
+# good enough for float; cubic interpolation good enough for previews.
+USABLE, LINEAR, CUBIC, CURVED = 1, 2, 4, 8
 # Coefficients for t above which a peak is narrow enough to be solved about its own summit.
 _NARROW = 400.0
 
@@ -69,7 +71,10 @@ def grades_of(
     # Twice and four times: the worst point of a cell was not among those tried.
     linear_enough = usable & (difference[..., 0] * 2 <= PREVIEW_DELTA_E)
     cubic_enough = usable & (difference[..., 1] * 4 <= FLOAT_DELTA_E)
-    return (usable * USABLE + linear_enough * LINEAR + cubic_enough * CUBIC).astype(np.uint8), curvature
+    # Ten times: stiffer cells are among these, and one under FL11 had six times what its points told.
+    curved_enough = usable & (difference[..., 1] * 10 <= PREVIEW_DELTA_E)
+    grades = usable * USABLE + linear_enough * LINEAR + cubic_enough * CUBIC + curved_enough * CURVED
+    return grades.astype(np.uint8), curvature
 
 
 # The three below take flat arrays and one unsigned index. A slice would count a reference more and less in each pixel,

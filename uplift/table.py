@@ -59,7 +59,7 @@ class Table:
     neighbour. `cone` [P, 3] holds inward normals: the light can show exactly the colours with `cone @ G` > 0.
     `surface` [3, n, n, 4, 4] holds the nodes with 1/level for the level, then their derivatives along i, along j,
     and along both; `coarse` [3, n, n, 4] the nodes with coefficients for λ in nm and 1/level. `grades` [3, n-1, n-1]
-    has for each cell the bits USABLE, LINEAR and CUBIC; `curvature` [3, n-1, n-1] is C such that a Newton step from
+    has for each cell the bits USABLE, LINEAR, CUBIC and CURVED; `curvature` [3, n-1, n-1] is C such that a Newton step from
     there leaves a residual below C times the square of the one before. `fan` has the starts near the border.
     """
 

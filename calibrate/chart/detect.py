@@ -1,8 +1,7 @@
 """Finding the ColorChecker in a picture or in a lat-long map.
 
-A picture is searched at a few sizes, coarse to fine; a map first as it is, then in perspective views all round, poles
-included, and whatever is found once more in the middle of a view of its own. The best fit counts; an excellent one
-ends the search.
+Both are searched at a few sizes, coarse to fine; a map in three sheets that cover it (`sheets`), and what is found there
+is looked at in the middle of a perspective view of its own. The best fit counts; an excellent one ends the search.
 """
 
 from collections.abc import Iterator
@@ -14,28 +13,35 @@ import numpy.typing as npt
 
 from calibrate import CalibrateError
 from calibrate.chart.geometry import ChartFound, box_outline, image_from_chart, patch_quads, project
-from calibrate.chart.judge import LARGEST_SCORE
+from calibrate.chart.judge import LARGEST_SCORE, best_orders, glances
+from calibrate.chart.lattice import grids
 from calibrate.chart.reference import ChartReference, chart_reference
 from calibrate.chart.search import (
-    SMALL_LOSS,
     WORTH_ALIGNING,
     Candidate,
+    Found,
     aligned_and_judged,
     better,
     candidates,
+    likeliest,
+    plausible,
+    resized,
     scales,
+    zones_at,
 )
-from calibrate.chart.views import View, angular_extent, view_at, yaw_pitch
+from calibrate.chart.sheets import Sheet, sheets
+from calibrate.chart.views import View, view_at
+from calibrate.chart.windows import windows
+from calibrate.chart.zones import relative_logarithm
 
-_VIEW_SIDES: Final = (640, 1280)
-_VIEW_FIELD: Final = np.radians(90.0)
-# Rows of views (pitch in degrees, views): the horizon first, then downwards (charts stand on tables and floors), then
-# upwards, and the poles. Neighbours overlap by 30° or so.
-_VIEW_ROWS: Final = ((0.0, 6), (-45.0, 5), (45.0, 5), (-90.0, 1), (90.0, 1))
-# How many candidates that fit, but not excellently, are worth the time of a closer look.
-_CLOSER_LOOKS: Final = 6
-# A view of a map is searched as it is and enlarged: a chart 10° wide in a map of 1280 has patches of 5 pixels.
+# Pixels of the view in which a chart of a map is looked at, and how wide it is: so many times the lattice's greatest angle from
+# its middle, within limits.
+_VIEW_SIDE: Final = 640
+_FIELD: Final = 3.2
+_NARROWEST, _WIDEST = np.radians(10.0), np.radians(120.0)
 _VIEW_SCALES: Final = (1.0, 2.0)
+# So many candidates of each size that fit, but not excellently, are worth the time of a search around them.
+_THOROUGH_LOOKS: Final = 1
 # A map is reduced to this width for the views; a chart that is lost by that is too small to be measured anyway.
 _WIDEST_MAP: Final = 4096
 
@@ -121,8 +127,9 @@ def _record(candidate: Candidate, view: View | None) -> ChartFound:
 
 def _search_picture(image: npt.NDArray[np.float32], reference: ChartReference) -> tuple[Candidate | None, View | None]:
     best: Candidate | None = None
+    logarithm = relative_logarithm(image)
     for scale in scales(image.shape[:2]):
-        for candidate in candidates(image, reference, scale):
+        for candidate in candidates(logarithm, image, reference, scale):
             best = better(best, candidate)
             if best.excellent:
                 return best, None
@@ -139,71 +146,76 @@ def _search_map(
     if full[1] > _WIDEST_MAP:
         size = (_WIDEST_MAP, round(full[0] * _WIDEST_MAP / full[1]))
         reduced = np.asarray(cv2.resize(environment, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    parts = sheets(relative_logarithm(reduced))
+    around = np.concatenate([reduced, reduced[:, :1]], axis=1)
     best: Candidate | None = None
     best_view: View | None = None
-    closer_looks = 0
-    for view, candidate in _map_candidates(reduced, reference):
-        if best is not None and candidate.rank >= best.rank:
-            continue
-        found, at = candidate, View(view.axes, view.side, view.focal_px, full)
-        if candidate.score <= WORTH_ALIGNING and closer_looks < _CLOSER_LOOKS:
-            closer_looks += 1
-            found, at = _closer(environment, candidate, at, reference)
-        if better(best, found) is found:
-            best, best_view = found, at
-        if best is not None and best.excellent:
-            break
+    for scale in scales(reduced.shape[:2]):
+        found = [each for sheet in parts for each in _found_on(sheet, around, reference, scale)]
+        for position, likely in enumerate(likeliest(found)):
+            if likely.view is None:
+                continue
+            view = View(likely.view.axes, likely.view.side, likely.view.focal_px, full)
+            candidate = _looked_at(environment, view, likely, reference, thoroughly=position < _THOROUGH_LOOKS)
+            if better(best, candidate) is candidate:
+                best, best_view = candidate, view
+            if best is not None and best.excellent:
+                return best, best_view
+        if best is not None and best.acceptable and not best.mirrored:
+            return best, best_view
     return best, best_view
 
 
-def _map_candidates(
-    environment: npt.NDArray[np.float32], reference: ChartReference
-) -> Iterator[tuple[View, Candidate]]:
-    """Yield candidates with the view they were seen in: what the flat map shows, then views all round."""
-    size = environment.shape[:2]
-    for scale in scales(size):
-        for candidate in candidates(environment, reference, scale):
-            if candidate.score <= WORTH_ALIGNING:
-                view = _view_around(candidate.corners, size)
-                local = _view_points(view, candidate.corners)
-                yield view, aligned_and_judged(view.render(environment), local, reference)
-    side = int(np.clip(size[1] // 2, *_VIEW_SIDES))
-    for pitch, count in _VIEW_ROWS:
-        for step in range(count):
-            # From the middle of the map outwards to both sides.
-            yaw = 2 * np.pi / count * ((step + 1) // 2) * (1 if step % 2 else -1)
-            view = view_at(yaw, np.radians(pitch), field_of_view=_VIEW_FIELD, side=side, map_size=size)
-            shown = view.render(environment)
-            for scale in _VIEW_SCALES:
-                for candidate in candidates(shown, reference, scale):
-                    yield view, candidate
+def _found_on(
+    sheet: Sheet, around: npt.NDArray[np.float32], reference: ChartReference, scale: float
+) -> Iterator[Found]:
+    """Yield the boxes on a sheet that is resized by `scale`, each in a view with itself in the middle.
+
+    `around` [H, W + 1, 3] is the map with its first column once more at the end.
+    """
+    size = (around.shape[0], around.shape[1] - 1)
+    for zones in zones_at(resized(sheet.pixels, scale)):
+        for places, indices in grids(zones):
+            view, points = _view_of(sheet.directions((zones.centres[indices] + 0.5) / scale - 0.5), size)
+            boxes = windows(places, points)
+            boxes = boxes[[plausible(box, (view.side, view.side)) for box in boxes]]
+            if not len(boxes):
+                continue
+
+            def on_map(points: npt.NDArray[np.float64], view: View = view) -> npt.NDArray[np.float64]:
+                x, y = np.moveaxis(view.map_points(points), -1, 0)
+                return np.stack([x % size[1], np.clip(y, 0, size[0] - 1)], axis=-1)
+
+            judged = best_orders(glances(around, boxes, through=on_map), reference)
+            for box, (score, order) in zip(boxes, judged, strict=True):
+                yield Found(box, score, order, view)
 
 
-def _closer(
-    environment: npt.NDArray[np.float32], found: Candidate, view: View, reference: ChartReference
-) -> tuple[Candidate, View]:
-    """Look once more with the chart in the middle: less stretched, as large as useful, in the full map."""
-    on_map = view.map_points(found.corners)
-    close = _view_around(on_map, view.map_size)
-    shown = close.render(environment)
-    closest = aligned_and_judged(shown, _view_points(close, on_map), reference)
-    for scale in () if closest.excellent else _VIEW_SCALES:
-        for candidate in candidates(shown, reference, scale):
-            closest = better(closest, candidate)
-        if closest.acceptable:
+def _looked_at(
+    environment: npt.NDArray[np.float32], view: View, found: Found, reference: ChartReference, *, thoroughly: bool
+) -> Candidate:
+    """Draw a box to its patches in the view, as large as useful, of the full map; `thoroughly`: search there as well."""
+    shown = view.render(environment)
+    best = aligned_and_judged(shown, found.in_order, reference)
+    if best.excellent or not thoroughly or not found.score <= WORTH_ALIGNING:
+        return best
+    logarithm = relative_logarithm(shown)
+    for scale in _VIEW_SCALES:
+        for candidate in candidates(logarithm, shown, reference, scale):
+            best = better(best, candidate)
+            if best.excellent:
+                return best
+        if best.acceptable:
             break
-    return (closest, close) if closest.rank <= found.rank + SMALL_LOSS else (found, view)
+    return best
 
 
-def _view_around(corners: npt.NDArray[np.float64], size: tuple[int, int]) -> View:
-    yaw, pitch = yaw_pitch(corners.mean(axis=0), size)
-    field = min(max(3.0 * angular_extent(corners, size), np.radians(10.0)), np.radians(110.0))
-    return view_at(yaw, pitch, field_of_view=field, side=_VIEW_SIDES[0], map_size=size)
-
-
-def _view_points(view: View, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the view pixels of map pixels [N, 2], the inverse of `View.map_points`."""
-    angles = [yaw_pitch(point, view.map_size) for point in points]
-    directions = np.array([[np.cos(p) * np.sin(y), np.sin(p), -np.cos(p) * np.cos(y)] for y, p in angles])
-    local = directions @ view.axes.T
-    return np.asarray(local[:, :2] / local[:, 2:] * view.focal_px + (view.side - 1) / 2)
+def _view_of(directions: npt.NDArray[np.float64], map_size: tuple[int, int]) -> tuple[View, npt.NDArray[np.float64]]:
+    """Return a view with directions [N, 3] of a lattice well inside, and their pixels [N, 2] in it."""
+    mean = directions.mean(axis=0)
+    mean /= np.linalg.norm(mean)
+    extent = float(np.arccos(np.clip((directions @ mean).min(), -1, 1)))
+    field = min(max(_FIELD * extent, _NARROWEST), _WIDEST)
+    yaw, pitch = float(np.arctan2(mean[0], -mean[2])), float(np.arcsin(np.clip(mean[1], -1, 1)))
+    view = view_at(yaw, pitch, field_of_view=field, side=_VIEW_SIDE, map_size=map_size)
+    return view, view.points(directions)

@@ -5,6 +5,7 @@ light across the chart, and is repeated without the patches that fit worst (glar
 of rotation: the order that fits best names the corners, and if these then run anticlockwise, the picture is mirrored.
 """
 
+from collections.abc import Callable
 from typing import Final
 
 import cv2
@@ -15,10 +16,13 @@ from calibrate.chart.geometry import COLUMNS, ROWS, image_from_chart, patch_quad
 from calibrate.chart.reference import ChartReference
 from calibrate.difference import delta_e_2000, lab_from_xyz
 
+Through = Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]]
+
 LARGEST_SCORE: Final = 16.5
 # Patches that are clipped in every exposure say nothing; with this many of them a fit of nine numbers says little.
 _MOST_LOST_PATCHES: Final = 6
 _SAMPLES_PER_SIDE: Final = 7
+_COARSE_SAMPLES_PER_SIDE: Final = 3
 # Rounds of fit and fall-off; the third changes the score by less than a tenth.
 _ROUNDS: Final = 3
 # Patches that the last round leaves out of fit and score.
@@ -37,14 +41,29 @@ _PLACES: Final = np.stack([_GRID.ravel() % COLUMNS / 5 - 0.5, _GRID.ravel() // C
 
 def glance(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return the median of a few bilinear samples in each patch [24, 3]: NaN where most are NaN or outside."""
-    samples = _samples(image, corners, 0.5)
-    seen = np.asarray(np.isfinite(samples).all(axis=2))
-    enough = seen.sum(axis=1) > samples.shape[1] // 2
-    values = np.full((len(samples), 3), np.nan)
-    if enough.any():
-        shown = np.where(seen[..., None], samples, np.float32(np.nan))[enough]
-        values[enough] = np.nanmedian(shown, axis=1)
-    return values
+    return _medians(_samples(image, corners, 0.5))
+
+
+def glances(
+    image: npt.NDArray[np.float32],
+    boxes: npt.NDArray[np.float64],
+    *,
+    through: Through | None = None,
+) -> npt.NDArray[np.float64]:
+    """Return what `glance` returns for K boxes [K, 4, 2], more coarsely: [K, 24, 3].
+
+    `through` maps the boxes' points [..., 2] to the image's pixels, where they are not the same.
+    """
+    grid = (np.arange(_COARSE_SAMPLES_PER_SIDE) + 0.5) / _COARSE_SAMPLES_PER_SIDE
+    inside = _places_in_patches(grid, 0.5)
+    points = np.stack([project(image_from_chart(box), inside) for box in boxes])
+    if through is not None:
+        points = through(points)
+    # One row a patch; a remapped picture has at most 32767 rows.
+    flat = points.reshape(-1, len(grid) ** 2, 2).astype(np.float32)
+    parts = [bilinear(image, flat[row : row + 30000]) for row in range(0, len(flat), 30000)]
+    samples = np.concatenate(parts).reshape(*points.shape[:3], 3)
+    return _medians(samples)
 
 
 def unevenness(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> float:
@@ -52,23 +71,30 @@ def unevenness(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64])
 
     A box that is off takes in the dark gaps, and scatters more.
     """
-    levels = _samples(image, corners, 0.8).sum(axis=2)
-    spreads = []
-    for patch in levels:
-        seen = patch[np.isfinite(patch)]
-        if len(seen) > len(patch) // 2 and np.median(seen) > 0:
-            # Between two percentiles: hot and dead pixels are none of the box's fault.
-            spreads.append(np.subtract(*np.percentile(seen, (90, 10))) / np.median(seen))
-    return float(np.mean(spreads)) if spreads else float("inf")
+    levels = np.sort(_samples(image, corners, 0.8).sum(axis=2), axis=1)  # NaN comes last
+    seen = np.isfinite(levels).sum(axis=1)
+    rows = np.arange(len(levels))
+    # Between two percentiles: hot and dead pixels are none of the box's fault.
+    low, middle, high = (levels[rows, np.round(part * np.maximum(seen - 1, 0)).astype(int)] for part in (0.1, 0.5, 0.9))
+    counted = (seen > levels.shape[1] // 2) & (middle > 0)
+    return float(((high - low)[counted] / middle[counted]).mean()) if counted.any() else float("inf")
 
 
 def _samples(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], part: float) -> npt.NDArray[np.float32]:
     """A grid of bilinear samples [24, N, 3] in the central `part` of each patch; NaN outside the image."""
     grid = (np.arange(_SAMPLES_PER_SIDE) + 0.5) / _SAMPLES_PER_SIDE
+    return bilinear(image, project(image_from_chart(corners), _places_in_patches(grid, part)).astype(np.float32))
+
+
+def _places_in_patches(grid: npt.NDArray[np.float64], part: float) -> npt.NDArray[np.float64]:
+    """Chart coordinates [24, N², 2] of a grid [N] (0…1 from side to side) in the central `part` of each patch."""
     s, t = np.meshgrid(grid, grid)
     quads = patch_quads(part)
-    inside = quads[:, 0, None, :] + np.stack([s.ravel(), t.ravel()], -1) * (quads[:, 2] - quads[:, 0])[:, None, :]
-    points = project(image_from_chart(corners), inside).astype(np.float32)
+    return np.asarray(quads[:, 0, None] + np.stack([s.ravel(), t.ravel()], -1) * (quads[:, 2] - quads[:, 0])[:, None])
+
+
+def bilinear(image: npt.NDArray[np.float32], points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Bilinear samples of an image [H, W, 3] at points [M, N, 2], NaN outside."""
     samples = cv2.remap(
         image,
         np.ascontiguousarray(points[..., 0]),
@@ -78,6 +104,18 @@ def _samples(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], p
         borderValue=(np.nan, np.nan, np.nan, np.nan),
     )
     return np.asarray(samples, dtype=np.float32)
+
+
+def _medians(samples: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
+    """Medians [..., 3] of samples [..., N, 3] that have all channels; NaN where half of them or more have not."""
+    whole = np.asarray(np.isfinite(samples).all(axis=-1))
+    ordered = np.sort(np.where(whole[..., None], samples, np.float32(np.nan)), axis=-2)  # NaN comes last
+    count = whole.sum(axis=-1)
+    low, high = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, samples.shape[-2] - 1)
+    pick = [np.take_along_axis(ordered, at[..., None, None], axis=-2)[..., 0, :] for at in (low, high)]
+    values = 0.5 * (pick[0].astype(np.float64) + pick[1])
+    values[count <= samples.shape[-2] // 2] = np.nan
+    return np.asarray(values, dtype=np.float64)
 
 
 def best_order(patches: npt.NDArray[np.float64], reference: ChartReference) -> tuple[float, tuple[int, int, int, int]]:

@@ -1,32 +1,30 @@
-"""Grids of 6 × 4 places among points in the plane, as a homography may show them.
+"""Grids of places among points in the plane, as a homography may show them.
 
 Around each point two of its neighbours span a lattice; spans that predict further points are grown from place to place, each
-step guided by the steps beside it, so that perspective is followed. Whatever 6 × 4 window of the grown lattice holds
-enough points is a place where a chart may be; its box follows from a homography through the points.
+step guided by the steps beside it, so that perspective is followed, and the bent lines of a lat-long map as well.
 """
 
 from collections.abc import Iterator
 from typing import Final
 
-import cv2
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 from scipy.spatial import cKDTree
 
 from calibrate.chart.geometry import (
-    COLUMNS,
     GAP_WIDTH,
     PATCH_WIDTH,
-    ROWS,
     box_corners,
     image_from_chart,
     patch_quads,
     project,
 )
+from calibrate.chart.homographies import agreed_homographies
 from calibrate.chart.zones import Zones
 
 Points = npt.NDArray[np.float64]
-Lattice = dict[tuple[int, int], int]
+Places = npt.NDArray[np.int64]
 
 _NEIGHBOURS: Final = 9
 # How far a point may be from where it is predicted, in parts of the step.
@@ -35,25 +33,22 @@ _NEAR: Final = 0.25
 _LARGEST_RATIO: Final = 3.0
 # The prediction of four places around and four diagonal ones; so many must hold a point.
 _LEAST_SUPPORT: Final = 4
-_LEAST_POINTS: Final = 9
+LEAST_POINTS: Final = 9
 _MOST_LATTICES: Final = 12
+# Places to each side of a seed: a chart's six, and one more.
+_FARTHEST: Final = 7
 # When the box is known: how far a zone's centre may be from its patch's (in steps), and how much of a patch it may be.
 _ASTRAY: Final = 0.2
 _SMALLEST_PART: Final = 0.15
 _LARGEST_PART: Final = 1.25
-_SHEARS: Final = tuple(
-    np.array(matrix)
-    for matrix in ([[1, 0], [0, 1]], [[1, 1], [0, 1]], [[1, -1], [0, 1]], [[1, 0], [1, 1]], [[1, 0], [-1, 1]])
-)
-_AROUND: Final = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
-def grids(zones: Zones) -> Iterator[Points]:
-    """Yield for each lattice the corners [K, 4, 2] of the boxes of its likely 6 × 4 grids, the best supported first.
+def grids(zones: Zones) -> Iterator[tuple[Places, npt.NDArray[np.intp]]]:
+    """Yield lattices among the zones' centres: places [N, 2] and the indices [N] of the zones there, best supported first.
 
-    Which corner is which is not known: the box may be turned by half a turn, or mirrored.
+    Where the chart begins on a lattice, and which of its axes are rows, is not known: `windows` tells.
     """
-    if len(zones.centres) < _LEAST_POINTS:
+    if len(zones.centres) < LEAST_POINTS:
         return
     tree = cKDTree(zones.centres)
     used = np.zeros(len(zones.centres), dtype=np.bool_)
@@ -61,14 +56,12 @@ def grids(zones: Zones) -> Iterator[Points]:
     for seed, first, second in _spans(zones, tree):
         if used[seed] or grown >= _MOST_LATTICES:
             continue
-        lattice = _grown(zones, tree, seed, first, second)
-        if len(lattice) < _LEAST_POINTS:
+        places, indices = _grown(zones.centres, zones.areas, seed, first, second)
+        if len(indices) < LEAST_POINTS:
             continue
         grown += 1
-        used[list(lattice.values())] = True
-        boxes = list(_windows(zones.centres, lattice))
-        if boxes:
-            yield np.stack(boxes)
+        used[indices] = True
+        yield places, indices
 
 
 def _spans(zones: Zones, tree: cKDTree) -> Iterator[tuple[int, Points, Points]]:
@@ -109,80 +102,52 @@ def _spans(zones: Zones, tree: cKDTree) -> Iterator[tuple[int, Points, Points]]:
         yield int(seed[best]), u[best], v[best]
 
 
-def _grown(zones: Zones, tree: cKDTree, seed: int, first: Points, second: Points) -> Lattice:
-    """Return places → points, starting from a seed and its two steps, from neighbour to neighbour."""
-    lattice: Lattice = {(0, 0): seed}
-    taken = {seed}
-    steps: dict[tuple[int, int], tuple[Points, Points]] = {(0, 0): (first, second)}
-    front = [(0, 0)]
-    while front:
-        place = front.pop(0)
-        index, (u, v) = lattice[place], steps[place]
-        for dx, dy in _AROUND:
-            there = (place[0] + dx, place[1] + dy)
-            if there in lattice or max(abs(there[0]), abs(there[1])) > 7:
+@njit(cache=True, error_model="numpy")
+def _grown(
+    centres: Points, areas: npt.NDArray[np.float64], seed: int, first: Points, second: Points
+) -> tuple[Places, npt.NDArray[np.intp]]:  # pragma: no cover - compiled
+    """Return places and the points there, starting from a seed and its two steps, from neighbour to neighbour."""
+    side = 2 * _FARTHEST + 1
+    taken = np.zeros(len(centres), dtype=np.bool_)
+    at = np.full((side, side), -1, dtype=np.intp)
+    places, indices = np.zeros((side * side, 2), dtype=np.int64), np.zeros(side * side, dtype=np.intp)
+    steps = np.zeros((side * side, 4))
+    indices[0], taken[seed], at[_FARTHEST, _FARTHEST] = seed, True, seed
+    steps[0, :2], steps[0, 2:] = first, second
+    count, done = 1, 0
+    while done < count:
+        own = indices[done]
+        for direction in range(4):
+            dx, dy = (1, 0, -1, 0)[direction], (0, 1, 0, -1)[direction]
+            px, py = places[done, 0] + dx, places[done, 1] + dy
+            if max(abs(px), abs(py)) > _FARTHEST or at[px + _FARTHEST, py + _FARTHEST] >= 0:
                 continue
-            step = dx * u + dy * v
-            distance, nearest = tree.query(zones.centres[index] + step)
-            ratio = zones.areas[nearest] / zones.areas[index]
-            if distance > _NEAR * np.hypot(*step) or nearest in taken:
+            step_x = dx * steps[done, 0] + dy * steps[done, 2]
+            step_y = dx * steps[done, 1] + dy * steps[done, 3]
+            reach, nearest = np.inf, -1
+            for other in range(len(centres)):
+                off_x, off_y = (
+                    centres[other, 0] - centres[own, 0] - step_x,
+                    centres[other, 1] - centres[own, 1] - step_y,
+                )
+                if off_x * off_x + off_y * off_y < reach:
+                    reach, nearest = off_x * off_x + off_y * off_y, other
+            if taken[nearest] or reach > _NEAR * _NEAR * (step_x * step_x + step_y * step_y):
                 continue
+            ratio = areas[nearest] / areas[own]
             if not 1 / _LARGEST_RATIO < ratio < _LARGEST_RATIO:
                 continue
-            lattice[there] = int(nearest)
-            taken.add(int(nearest))
-            walked = (zones.centres[nearest] - zones.centres[index]) * (dx + dy)
+            at[px + _FARTHEST, py + _FARTHEST], taken[nearest] = nearest, True
+            places[count, 0], places[count, 1], indices[count] = px, py, nearest
             # Steps change slowly: half of the new one, half of what was believed.
-            steps[there] = (0.5 * (u + walked), v) if dx else (u, 0.5 * (v + walked))
-            front.append(there)
-    return lattice
-
-
-def _windows(centres: Points, lattice: Lattice) -> Iterator[Points]:
-    """Yield the box of every 6 × 4 and 4 × 6 window that holds nearly as many points as the fullest one.
-
-    At a slant a diagonal of the grid may be shorter than a step, and is taken for one: so the places are sheared, too.
-    """
-    points = centres[list(lattice.values())]
-    found: list[tuple[int, npt.NDArray[np.int64], tuple[int, int], int, npt.NDArray[np.int64]]] = []
-    for shear in _SHEARS:
-        places = np.array(list(lattice)) @ shear
-        found += [(*window, len(found), places) for window in _counted(places)]
-    fullest = max((window[0] for window in found), default=0)
-    pitch = PATCH_WIDTH + GAP_WIDTH
-    for count, corner, size, _, places in sorted(found, key=lambda window: (-window[0], window[3])):
-        if count < max(_LEAST_POINTS, fullest - 2):
-            return
-        local = places - corner
-        inside = ((local >= 0) & (local < size)).all(axis=1)
-        # In chart units; a window of 4 × 6 is a chart lying on its side.
-        chart = local[inside][:, :: 1 if size[0] == COLUMNS else -1] * pitch + GAP_WIDTH + PATCH_WIDTH / 2
-        if np.ptp(local[inside], axis=0).min() < 1:
-            continue
-        homography, _ = cv2.findHomography(chart.astype(np.float64), points[inside], cv2.RANSAC, _reach(points[inside]))
-        if homography is not None:
-            yield project(np.asarray(homography, dtype=np.float64), box_corners())
-
-
-def _counted(places: npt.NDArray[np.int64]) -> list[tuple[int, npt.NDArray[np.int64], tuple[int, int]]]:
-    """Return count, corner and size of every window over `places` [N, 2] that may hold enough of them."""
-    low, high = places.min(axis=0), places.max(axis=0)
-    # A border of zeros as wide as a window: windows may reach beyond the places.
-    grid = np.zeros(high - low + 1 + 2 * COLUMNS, dtype=np.int64)
-    grid[tuple((places - low + COLUMNS).T)] = 1
-    total = np.pad(grid.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-    found = []
-    for wide, tall in ((COLUMNS, ROWS), (ROWS, COLUMNS)):
-        counts = total[wide:, tall:] - total[:-wide, tall:] - total[wide:, :-tall] + total[:-wide, :-tall]
-        enough = np.argwhere(counts >= max(_LEAST_POINTS, counts.max() - 2))
-        found += [(int(counts[tuple(at)]), at + low - COLUMNS, (wide, tall)) for at in enough]
-    return found
-
-
-def _reach(points: Points) -> float:
-    """A tenth of a step, in pixels: how far a point may be from the grid."""
-    nearest = cKDTree(points).query(points, k=2)[0][:, 1]
-    return float(max(0.15 * np.median(nearest), 0.5))
+            steps[count] = steps[done]
+            along = 0 if dx != 0 else 2
+            for axis in range(2):
+                walked = (centres[nearest, axis] - centres[own, axis]) * (dx + dy)
+                steps[count, along + axis] = 0.5 * (steps[done, along + axis] + walked)
+            count += 1
+        done += 1
+    return places[:count].copy(), indices[:count].copy()
 
 
 def refined(corners: Points, zones: list[Zones]) -> Points:
@@ -200,7 +165,7 @@ def refined(corners: Points, zones: list[Zones]) -> Points:
         chart_from_image = np.linalg.inv(image_from_chart(box))
         low, high = box.min(axis=0), box.max(axis=0)
         near = ((centres >= low) & (centres <= high)).all(axis=1)
-        if near.sum() < _LEAST_POINTS:
+        if near.sum() < LEAST_POINTS:
             return box
         points = centres[near]
         on_chart = project(np.asarray(chart_from_image, dtype=np.float64), points)
@@ -209,13 +174,12 @@ def refined(corners: Points, zones: list[Zones]) -> Points:
         ratio = areas[near] / expected[place]
         own = (distance < _ASTRAY * (PATCH_WIDTH + GAP_WIDTH)) & (ratio > _SMALLEST_PART) & (ratio < _LARGEST_PART)
         found = np.unique(place[own])
-        if len(found) < _LEAST_POINTS:
+        if len(found) < LEAST_POINTS:
             return box
         middles = np.array([np.median(points[own & (place == k)], axis=0) for k in found])
-        homography, _ = cv2.findHomography(places[found], middles, cv2.RANSAC, _reach(middles) / 2)
-        if homography is None:
-            return box
-        moved = project(np.asarray(homography, dtype=np.float64), box_corners())
+        everywhere = np.ones((1, len(found)), dtype=np.bool_)
+        homography = agreed_homographies(places[found], middles, everywhere, step=PATCH_WIDTH + GAP_WIDTH)[0]
+        moved = project(homography, box_corners())
         if not np.isfinite(moved).all() or np.abs(moved - corners).max() > 0.15 * np.ptp(corners, axis=0).max():
             return box
         box = moved

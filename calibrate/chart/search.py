@@ -14,10 +14,12 @@ import numpy.typing as npt
 
 from calibrate.chart.align import align
 from calibrate.chart.geometry import signed_area
-from calibrate.chart.judge import LARGEST_SCORE, best_order, best_orders, glance
+from calibrate.chart.judge import LARGEST_SCORE, best_order, best_orders, glance, glances
 from calibrate.chart.lattice import grids
 from calibrate.chart.reference import ChartReference
-from calibrate.chart.zones import flat_zones, relative_logarithm
+from calibrate.chart.views import View
+from calibrate.chart.windows import windows
+from calibrate.chart.zones import Zones, flat_zones
 
 # A chart lit by one light fits within 1–4; below this, other attempts can hardly do better.
 _EXCELLENT_SCORE: Final = 4.5
@@ -26,17 +28,44 @@ _EXCELLENT_SCORE: Final = 4.5
 WORTH_ALIGNING: Final = 22.0
 # What a box that could not be drawn to the patches counts for in the choice, in ΔE.
 _NOT_ALIGNED: Final = 4.0
-# A fit to the middles of the patches hardly notices a box that is off a little: so small a loss (ΔE) is no objection.
-SMALL_LOSS: Final = 0.5
+# The gaps say better where the box is than the fit does: off by a little, it may see less of a patch's glare. So much more (ΔE)
+# is no objection.
+_LOSS_ALLOWED: Final = 4.0
 # Long sides of the picture at which it is searched, then its own size, and twice that where it is small: the gaps of a
 # chart of 100 pixels are hardly a pixel wide.
 _LONG_SIDES: Final = (700, 1500, 3200)
 _ENLARGED: Final = 2.0
+_COARSEST_SIDE: Final = 400
 _MOST_ENLARGED_PIXELS: Final = 12_000_000
 # Patches between these sizes are looked for at each size of the picture, in its pixels.
 _SMALLEST_PATCH: Final = 14.0
 _LARGEST_PATCH: Final = 130.0**2
-_MOST_BOXES: Final = 3
+_SMALLEST_BOX: Final = 400.0
+_MOST_BOXES: Final = 4
+# Boxes whose corners differ by less, in parts of half the box, are aligned to the same place.
+_SAME: Final = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A box before it is drawn to its patches: its corners as they were found, its score, and their order by the colours.
+
+    Of a map, the corners are pixels of the `view`.
+    """
+
+    corners: npt.NDArray[np.float64]
+    score: float
+    order: tuple[int, int, int, int]
+    view: View | None = None
+
+    @property
+    def place(self) -> npt.NDArray[np.float64]:
+        """What can be compared between views: pixels [4, 2], or directions [4, 3]."""
+        return self.corners if self.view is None else self.view.directions(self.corners)
+
+    @property
+    def in_order(self) -> npt.NDArray[np.float64]:
+        return self.corners[list(self.order)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,40 +101,68 @@ def better(best: Candidate | None, candidate: Candidate) -> Candidate:
 
 
 def scales(size: tuple[int, int]) -> list[float]:
-    """Return the factors by which a picture of `size` (H, W) is resized for the search, coarse to fine."""
+    """Return the factors by which a picture of `size` (H, W) is resized for the search."""
     long_side = max(size)
     factors = [side / long_side for side in _LONG_SIDES if side < 0.85 * long_side] + [1.0]
     if size[0] * size[1] * _ENLARGED**2 <= _MOST_ENLARGED_PIXELS:
         factors.append(_ENLARGED)
+    # Last, for a large chart whose gaps are blurred and noisy.
+    if long_side > 1.15 * _COARSEST_SIDE:
+        factors.append(_COARSEST_SIDE / long_side)
     return factors
 
 
-def candidates(image: npt.NDArray[np.float32], reference: ChartReference, scale: float) -> Iterator[Candidate]:
-    """Yield what may be the chart in `image`, resized by `scale` for the search, one threshold after the other.
+def candidates(
+    logarithm: npt.NDArray[np.float32], image: npt.NDArray[np.float32], reference: ChartReference, scale: float
+) -> Iterator[Candidate]:
+    """Yield what may be the chart in `image`, whose relative `logarithm` is resized by `scale` for the search; likeliest first.
 
-    Boxes that cannot be the chart's are left out, but for the best one of each threshold.
+    All that is found at any threshold is judged before the first is drawn to its patches. Boxes that cannot be the chart's
+    are left out, but for the best one.
     """
-    seen = relative_logarithm(image)
-    if scale != 1:
-        method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
-        seen = np.asarray(cv2.resize(seen, None, fx=scale, fy=scale, interpolation=method), dtype=np.float32)
-    done: list[npt.NDArray[np.float64]] = []
-    for zones in flat_zones(seen, smallest=_SMALLEST_PATCH, largest=_LARGEST_PATCH):
-        boxes = [box for lattice in grids(zones) for box in lattice]
-        # Pixel centres are integers, so a resized image's coordinates shift by half a pixel as well.
-        corners = [(box + 0.5) / scale - 0.5 for box in boxes]
-        corners = [box for box in corners if np.isfinite(box).all() and plausible(box, image.shape[:2])]
-        if not corners:
+    found = [
+        Found(box, *judged)
+        for boxes in _boxes(resized(logarithm, scale), scale, image.shape[:2])
+        for box, judged in zip(boxes, best_orders(glances(image, boxes), reference), strict=True)
+    ]
+    for best in likeliest(found):
+        yield aligned_and_judged(image, best.in_order, reference)
+
+
+def resized(logarithm: npt.NDArray[np.float32], scale: float) -> npt.NDArray[np.float32]:
+    """Return a picture [H, W, 3] resized by a factor."""
+    if scale == 1:
+        return logarithm
+    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(logarithm, None, fx=scale, fy=scale, interpolation=method), dtype=np.float32)
+
+
+def zones_at(logarithm: npt.NDArray[np.float32]) -> list[Zones]:
+    """Return the zones of each threshold that may be patches in a relative logarithm, as it is resized."""
+    return flat_zones(logarithm, smallest=_SMALLEST_PATCH, largest=_LARGEST_PATCH)
+
+
+def _boxes(seen: npt.NDArray[np.float32], scale: float, size: tuple[int, int]) -> Iterator[npt.NDArray[np.float64]]:
+    """Yield for each lattice its boxes [K, 4, 2] in pixels of the image of `size` before it was resized."""
+    for zones in zones_at(seen):
+        for places, indices in grids(zones):
+            # Pixel centres are integers, so a resized image's coordinates shift by half a pixel as well.
+            boxes = windows(places, (zones.centres[indices] + 0.5) / scale - 0.5)
+            boxes = boxes[[plausible(box, size) for box in boxes]]
+            if len(boxes):
+                yield boxes
+
+
+def likeliest(found: list[Found]) -> Iterator[Found]:
+    """Yield the few best boxes that differ from each other, the best first; after it, only those worth aligning."""
+    taken: list[Found] = []
+    for box in sorted(found, key=lambda each: each.score):
+        if len(taken) == _MOST_BOXES or (taken and not box.score <= WORTH_ALIGNING):
+            return
+        if any(same(box.place, other.place) for other in taken):
             continue
-        judged = best_orders(np.stack([glance(image, box) for box in corners]), reference)
-        ranked = sorted(range(len(corners)), key=lambda k: judged[k][0])
-        for position, k in enumerate(ranked[:_MOST_BOXES]):
-            score, order = judged[k]
-            box = corners[k][list(order)]
-            if position and (score > WORTH_ALIGNING or any(_same(box, other) for other in done)):
-                continue
-            done.append(box)
-            yield aligned_and_judged(image, box, reference)
+        taken.append(box)
+        yield box
 
 
 def aligned_and_judged(
@@ -120,7 +177,7 @@ def aligned_and_judged(
     if drawn is None or not plausible(drawn, image.shape[:2]):
         return given
     score, order = best_order(glance(image, drawn), reference)
-    if score > given.score + SMALL_LOSS:
+    if score > given.score + _LOSS_ALLOWED:
         return given
     return Candidate(drawn[list(order)], score, aligned=True)
 
@@ -130,12 +187,14 @@ def plausible(box: npt.NDArray[np.float64], size: tuple[int, int]) -> bool:
     edges = np.roll(box, -1, axis=0) - box
     after = np.roll(edges, -1, axis=0)
     turns = edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0]
-    if not ((turns > 0).all() or (turns < 0).all()) or abs(signed_area(box)) < 400:
+    if not ((turns > 0).all() or (turns < 0).all()) or abs(signed_area(box)) < _SMALLEST_BOX:
         return False
     reach = 0.05 * np.hypot(*edges.T).max()
     high = np.array([size[1] - 1, size[0] - 1]) + reach
     return bool((box >= -reach).all() and (box <= high).all())
 
 
-def _same(one: npt.NDArray[np.float64], other: npt.NDArray[np.float64]) -> bool:
-    return bool(np.abs(one - other).max() < 0.01 * np.abs(one - one.mean(axis=0)).max())
+def same(one: npt.NDArray[np.float64], other: npt.NDArray[np.float64]) -> bool:
+    """Whether two boxes cover the same place, whichever corner comes first."""
+    nearest = np.abs(one[:, None] - other[None]).max(axis=2).min(axis=1)
+    return bool(nearest.max() < _SAME * np.abs(one - one.mean(axis=0)).max())

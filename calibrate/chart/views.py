@@ -38,6 +38,17 @@ class View:
         theta = np.arctan2(np.hypot(directions[..., 0], directions[..., 2]), directions[..., 1])
         return np.stack([(phi / (2 * np.pi) + 0.5) * width - 0.5, theta / np.pi * height - 0.5], axis=-1)
 
+    def directions(self, points: Points) -> Points:
+        """Return the unit directions [..., 3] of view pixels [..., 2]."""
+        centred = (points - (self.side - 1) / 2) / self.focal_px
+        rays = centred @ self.axes[:2] + self.axes[2]
+        return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+
+    def points(self, directions: Points) -> Points:
+        """Return the view pixels [..., 2] of directions [..., 3] before it, the inverse of `directions`."""
+        local = directions @ self.axes.T
+        return np.asarray(local[..., :2] / local[..., 2:] * self.focal_px + (self.side - 1) / 2)
+
     def render(self, environment: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return what the view shows of a lat-long map [H, W, 3]: [side, side, 3], bilinear; NaN where it touches NaN."""
         y, x = np.mgrid[: self.side, : self.side]
@@ -59,27 +70,3 @@ def view_at(yaw: float, pitch: float, *, field_of_view: float, side: int, map_si
     down = np.cross(forward, right)
     focal_px = side / 2 / np.tan(field_of_view / 2)
     return View(np.stack([right, down, forward]), side, float(focal_px), map_size)
-
-
-def yaw_pitch(point: Points, map_size: tuple[int, int]) -> tuple[float, float]:
-    """Return (yaw, pitch) in radians of a map pixel [2]."""
-    height, width = map_size
-    return (
-        float(2 * np.pi * ((point[0] + 0.5) / width - 0.5)),
-        float(np.pi / 2 - np.pi * (point[1] + 0.5) / height),
-    )
-
-
-def angular_extent(points: Points, map_size: tuple[int, int]) -> float:
-    """Return the greatest angle (radians) between the mean direction of map pixels [N, 2] and any of them."""
-    angles = np.array([yaw_pitch(point, map_size) for point in points])
-    directions = np.stack(
-        [
-            np.cos(angles[:, 1]) * np.sin(angles[:, 0]),
-            np.sin(angles[:, 1]),
-            -np.cos(angles[:, 1]) * np.cos(angles[:, 0]),
-        ],
-        axis=-1,
-    )
-    mean = directions.mean(axis=0)
-    return float(np.arccos(np.clip(directions @ mean / np.linalg.norm(mean), -1, 1)).max())

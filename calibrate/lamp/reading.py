@@ -1,6 +1,6 @@
 """What a lamp reads: the mean over its interior, its standard error, and doubts about it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy.typing as npt
 from calibrate import CalibrateError
 from calibrate.chart.geometry import BOX_HEIGHT, BOX_WIDTH, image_from_chart, project
 from calibrate.chart.patches import trimmed_mean
+from calibrate.difference import D65_XYZ
 from calibrate.lamp.curve import uv_from_xyz
 
 Points = npt.NDArray[np.float64]
@@ -16,10 +17,17 @@ Image = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 MOST_CLIPPED: Final = 0.3
+# Of the light on the chart, what an unlit module may reflect: opal covers and white circuit boards about this.
+MOST_REFLECTED: Final = 0.7
 _FEW_PIXELS: Final = 60
 _FEWEST_PIXELS: Final = 4
 # Scatter of u'v' inside a lamp, of one channel's noise or so; an evenly lit module stays below 0.005.
 _UNEVEN: Final = 0.01
+# Relative standard error of the reading in its worst channel.
+_NOISY: Final = 0.01
+_TOO_NOISY: Final = 0.05
+# Error of u'v' by reflected light: a tenth of the way from D65 to the colour of tungsten light.
+_MIXED: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +53,8 @@ class Lamp:
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """An area of an image: its outline, the pixels `inside` a box whose first pixel is `origin` (x, y), a score and how much
-    of it is clipped.
+    """An area of an image: its outline, the pixels `inside` a box whose first pixel is `origin` (x, y), a score, how much
+    of it is clipped, and its mean XYZ where anything of it is not.
     """
 
     polygon: Points
@@ -54,6 +62,7 @@ class Region:
     origin: tuple[int, int]
     score: float
     clipped: float
+    xyz: npt.NDArray[np.float64] | None = None
 
 
 def measure_lamp(
@@ -64,11 +73,12 @@ def measure_lamp(
     xyz_from_rgb: npt.NDArray[np.float64],
     clipped: Mask | None = None,
     latlong: bool = False,
+    alone: bool = False,
 ) -> Lamp:
     """Return the lamp inside a `polygon` [N, 2] or a `rectangle` (x, y, width, height) of `image` [H, W, 3], in pixels.
 
     The rectangle covers the pixels x … x + width − 1. All of the area counts, so it should lie inside the lamp. `clipped`
-    [H, W] marks samples to leave out besides NaN.
+    [H, W] marks samples to leave out besides NaN. `alone`: the picture holds the lamp's light and no other.
 
     Raises
     ------
@@ -96,7 +106,37 @@ def measure_lamp(
     )
     inside: Mask = np.asarray((crosses >= -1e-6).all(axis=0) | (crosses <= 1e-6).all(axis=0))
     region = Region(area, inside, (int(low[0]), int(low[1])), float("nan"), 0.0)
-    return read_region(image, region, xyz_from_rgb=xyz_from_rgb, clipped=clipped, latlong=latlong)
+    lamp = read_region(image, region, xyz_from_rgb=xyz_from_rgb, clipped=clipped, latlong=latlong)
+    return lamp if alone else replace(lamp, warnings=(*lamp.warnings, *doubts_of_mixing(lamp, xyz_from_rgb)))
+
+
+def doubts_of_mixing(lamp: Lamp, xyz_from_rgb: npt.NDArray[np.float64]) -> tuple[str, ...]:
+    """Return a warning if light of the scene that the lamp may reflect could shift its colour."""
+    xyz = np.asarray(xyz_from_rgb, np.float64) @ lamp.rgb
+    own = xyz - MOST_REFLECTED * D65_XYZ
+    share = min(1.0, MOST_REFLECTED / float(xyz[1]))
+    shift = float(np.hypot(*(uv_from_xyz(xyz) - uv_from_xyz(own)))) if (own > 0).all() else float("inf")
+    if shift <= _MIXED:
+        return ()
+    x, y = lamp.polygon.mean(axis=0)
+    error = f"its u'v' off by up to {shift:.3f}" if np.isfinite(shift) else "its colour that of the scene's light"
+    return (
+        f"balance.lamp: the lamp at ({x:.0f}, {y:.0f}) is {xyz[1]:.2g} times as bright as the chart's white, so up to {share:.0%} of what it "
+        f"shows may be light of the scene that it reflects, and {error} (up to {_MIXED} does no harm). Make it brighter or "
+        "shade it, or photograph the view with the lamp off too (`capture.lamp_off`).",
+    )
+
+
+def _doubts_of_noise(rgb: npt.NDArray[np.float64], noise: npt.NDArray[np.float64], place: str) -> tuple[str, ...]:
+    """Return a warning if the reading is noisy, as a dim lamp's is; refuse it where it is hopeless."""
+    worst = float((noise / np.maximum(np.abs(rgb), 1e-30)).max())
+    told = (
+        f"{place} is known to {worst:.1%} in its worst channel; expected {_NOISY:.0%} or better. "
+        "Add longer exposures to the bracket, or photograph the module larger or brighter."
+    )
+    if worst > _TOO_NOISY:
+        raise CalibrateError(told)
+    return (told,) if worst > _NOISY else ()
 
 
 def rectangle_from_chart(rectangle: tuple[float, float, float, float], chart_corners: Points) -> Points:
@@ -155,7 +195,7 @@ def read_region(
         )
     # Noise makes single pixels differ; what counts is whether one part of the lamp differs from another.
     unevenness = float(uv_from_xyz(xyz).std(axis=0).max())
-    warnings: tuple[str, ...] = ()
+    warnings = _doubts_of_noise(rgb, noise, place)
     if valid.sum() < _FEW_PIXELS:
         warnings += (f"{place} has only {int(valid.sum())} pixels inside. Photograph the module larger.",)
     if lost:

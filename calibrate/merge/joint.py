@@ -15,18 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
 
-from calibrate.merge.records import Float64
-
-Samples = npt.NDArray[np.uint16]
-Indices = npt.NDArray[np.int64]
-
-# Above this share of the range from black to clipping a sample is not asked: sensors bend there.
-_LINEAR = 0.85
-
-# Tukey's constant for 95 % efficiency.
-_TUKEY = 4.685
+from calibrate.merge.normal import LINEAR, Indices, accumulate
+from calibrate.merge.records import Counts, Float64
+from calibrate.merge.transfer import photon_transfer
 
 # Nothing is concluded from fewer sites than this.
 _FEWEST_SITES = 300
@@ -37,15 +29,13 @@ _PRIOR_BLACK = 5e-4
 
 _BLOCKS = 64
 _STEPS = (8, 4, 3)
-_BINS = 28
-_ROUNDING_VARIANCE = 1.0 / 12.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sites:
     """A regular sample of photosites: `counts` (M, N) raw counts, pattern `position` (M,), black `group` (M,), `tile` (M,)."""
 
-    counts: Samples
+    counts: Counts
     position: Indices
     group: Indices
     tile: Indices
@@ -130,7 +120,7 @@ def fit_jointly(
         for _ in range(steps):
             normal, gradient = np.zeros((_BLOCKS, size, size)), np.zeros((_BLOCKS, size))
             told = np.zeros(_BLOCKS, np.int64)
-            _accumulate(
+            accumulate(
                 sites.counts, sites.position, sites.group, light * np.exp(log_light)[:, None], black, clip, shift,
                 gain, read2, x, spread, normal, gradient, told, residual, signal,
             )  # fmt: skip
@@ -156,7 +146,7 @@ def fit_jointly(
             break
         for c in range(len(noise)):
             of = np.flatnonzero(iso_class == c)
-            noise[c] = found = _transfer(residual[:, of], signal[:, of], read2[of[0]], gain[of[0]])
+            noise[c] = found = photon_transfer(residual[:, of], signal[:, of], read2[of[0]], gain[of[0]])
             if found is not None:
                 gain[of], read2[of] = found[0], found[2] ** 2
     error = np.sqrt(np.diag(np.linalg.inv(hessian))) * max(spread, 1.0)
@@ -181,7 +171,7 @@ def _chain(sites: Sites, light: Float64, black: Float64, clip: Float64, read_dn:
     for longer, shorter in itertools.pairwise(order):
         high = sites.counts[:, longer] - black[longer][sites.position]
         low = sites.counts[:, shorter] - black[shorter][sites.position]
-        top = _LINEAR * (clip - black)
+        top = LINEAR * (clip - black)
         good = (low > 12.0 * max(read_dn[shorter], 1.0)) & (high < top[longer][sites.position])
         good &= low < top[shorter][sites.position]
         out[shorter] = out[longer]
@@ -191,40 +181,6 @@ def _chain(sites: Sites, light: Float64, black: Float64, clip: Float64, read_dn:
             if abs(change) < 2.0:
                 out[shorter] = out[longer] - change
     return out
-
-
-def _transfer(
-    residual: npt.NDArray[np.float32], signal: npt.NDArray[np.float32], read2: float, gain: float
-) -> tuple[float, float, float, float] | None:
-    """Return gain and read noise from residuals in units of the model's σ, by bins of the signal."""
-    seen = np.isfinite(residual)
-    s = np.maximum(signal[seen].astype(np.float64), 0.0)
-    squares = residual[seen].astype(np.float64) ** 2 * (read2 + s / gain)
-    edges = np.concatenate([[0.0], np.geomspace(2.0, max(float(s.max(initial=0.0)), 4.0), _BINS)])
-    which = np.digitize(s, edges[1:-1])
-    rows = []
-    for k in range(_BINS):
-        inside = which == k
-        count = int(inside.sum())
-        if count >= 60:
-            # The median of χ² with one degree of freedom is 0.4549.
-            rows.append((float(s[inside].mean()), float(np.median(squares[inside])) / 0.45494, count))
-    if len(rows) < 4:
-        return None
-    level, variance, count = np.array(rows).T
-    estimate = np.array([read2, 1.0 / gain])
-    covariance = np.eye(2)
-    for _ in range(4):
-        expected = np.maximum(estimate[0] + level * estimate[1], 1e-3)
-        # The median of squares knows a variance to √(2.7 · 2/n); the bins' own errors are 2 % at best.
-        weight = 1.0 / (expected**2 * (5.4 / count + 4e-4))
-        design = np.stack([np.ones_like(level), level], axis=1)
-        covariance = np.linalg.inv(design.T @ (weight[:, None] * design))
-        estimate = covariance @ (design.T @ (weight * variance))
-        estimate = np.maximum(estimate, [_ROUNDING_VARIANCE, 1e-9])
-    read, slope = estimate
-    errors = np.sqrt(np.diag(covariance))
-    return 1.0 / slope, float(errors[1] / slope), float(np.sqrt(read)), float(0.5 * errors[0] / read)
 
 
 def _uneven(
@@ -252,93 +208,3 @@ def _uneven(
                 if abs(middle) > 5.0 * error:
                     out[k] = max(out[k], abs(middle))
     return out
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _accumulate(  # noqa: PLR0912, PLR0915 - one pass over the frames of a site
-    counts: Samples,
-    position: Indices,
-    group: Indices,
-    light: Float64,
-    black: Float64,
-    clip: Float64,
-    shift: Float64,
-    gain: Float64,
-    read2: Float64,
-    x: Float64,
-    spread: float,
-    normal: Float64,
-    gradient: Float64,
-    told: Indices,
-    residual: npt.NDArray[np.float32],
-    signal: npt.NDArray[np.float32],
-) -> None:  # pragma: no cover - compiled
-    """Add the normal equations of every site, in fixed blocks of sites, so that threads change no bit."""
-    sites, frames = counts.shape
-    blocks = normal.shape[0]
-    for block in prange(blocks):
-        w, d, a, u = np.empty(frames), np.empty(frames), np.empty(frames), np.empty(frames)
-        for i in range(sites * block // blocks, sites * (block + 1) // blocks):
-            p, g = position[i], group[i]
-            above, below = 0.0, 0.0
-            if np.isnan(x[i]):
-                for k in range(frames):
-                    if counts[i, k] < black[k, p] + _LINEAR * (clip[k, p] - black[k, p]):
-                        above += light[k, p] * (counts[i, k] - black[k, p] - shift[g])
-                        below += light[k, p] * light[k, p]
-                x[i] = above / below if below > 0 else 0.0
-            valid = 0
-            above, below = 0.0, 0.0
-            for k in range(frames):
-                a[k] = light[k, p]
-                d[k] = counts[i, k] - black[k, p] - shift[g]
-                s = a[k] * x[i]
-                residual[i, k] = np.nan
-                signal[i, k] = s
-                w[k] = 0.0
-                if s < _LINEAR * (clip[k, p] - black[k, p]) and counts[i, k] < clip[k, p]:
-                    w[k] = 1.0 / (read2[k] + max(s, 0.0) / gain[k])
-                    above += w[k] * a[k] * d[k]
-                    below += w[k] * a[k] * a[k]
-                    valid += 1
-            if below > 0.0:
-                x[i] = above / below
-            if valid < 2:
-                continue
-            robust = 0.0
-            above = 0.0
-            for k in range(frames):
-                if w[k] > 0.0:
-                    rest = 1.0 - w[k] * a[k] * a[k] / below
-                    r = (d[k] - a[k] * x[i]) * np.sqrt(w[k] / max(rest, 1e-12))
-                    if rest > 0.02:
-                        residual[i, k] = r
-                    z = r / (_TUKEY * spread)
-                    w[k] = w[k] * (1.0 - z * z) ** 2 if abs(z) < 1.0 else 0.0
-                    robust += w[k] * a[k] * a[k]
-                    above += w[k] * a[k] * d[k]
-            if robust <= 0.0:
-                continue
-            told[block] += 1
-            best = above / robust
-            sum_wa = 0.0
-            sum_w = 0.0
-            sum_r = 0.0
-            for k in range(frames):
-                u[k] = w[k] * a[k] * a[k] * best
-                r = d[k] - a[k] * best
-                gradient[block, k] += w[k] * a[k] * best * r
-                normal[block, k, k] += u[k] * best
-                cross = w[k] * a[k] * best
-                normal[block, k, frames + g] += cross
-                normal[block, frames + g, k] += cross
-                sum_wa += w[k] * a[k]
-                sum_w += w[k]
-                sum_r += w[k] * r
-            gradient[block, frames + g] += sum_r
-            normal[block, frames + g, frames + g] += sum_w - sum_wa * sum_wa / robust
-            for k in range(frames):
-                normal[block, k, frames + g] -= u[k] * sum_wa / robust
-                normal[block, frames + g, k] -= u[k] * sum_wa / robust
-                for j in range(frames):
-                    normal[block, k, j] -= u[k] * u[j] / robust

@@ -11,9 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from calibrate.exposure import FrameInfo, Masked
 from calibrate.merge.records import Counts, Float64
+
+Indices = npt.NDArray[np.int64]
 
 # Widths of a plateau that are tried, as shares of the range; the first that holds wins.
 _WIDTHS = (0.0, 0.00025, 0.001, 0.0025, 0.005)
@@ -50,8 +53,8 @@ class Plateau:
     clip: float
     level: float
     count: int
-    rows: npt.NDArray[np.int64]
-    columns: npt.NDArray[np.int64]
+    rows: Indices
+    columns: Indices
 
 
 def find_plateau(mosaic: Counts, position: tuple[int, int], period: tuple[int, int], *, span: float) -> Plateau | None:
@@ -67,7 +70,7 @@ def find_plateau(mosaic: Counts, position: tuple[int, int], period: tuple[int, i
         White − black as the file states them, raw counts.
     """
     plane = mosaic[position[0] :: period[0], position[1] :: period[1]]
-    counts = np.bincount(plane.ravel(), minlength=1)
+    counts = _histogram(plane)
     from_top = np.cumsum(counts[::-1])[::-1]
     populated = np.flatnonzero(from_top >= min(_STRAYS, plane.size))
     if not len(populated):
@@ -81,17 +84,35 @@ def find_plateau(mosaic: Counts, position: tuple[int, int], period: tuple[int, i
         mass = int(from_top[low])
         density = (int(from_top[low - below]) - mass) / below
         if mass >= _FEWEST and mass / (width + 1) >= _CONTRAST * max(density, 1e-3):
-            rows, columns = np.nonzero(plane >= low)
-            step = max(1, len(rows) // _WITNESSES)
+            rows, columns = _witnesses(plane, low, mass)
             level = low + int(np.argmax(counts[low : top + 1]))
             return Plateau(
                 float(low),
                 float(level),
                 mass,
-                rows[::step] * period[0] + position[0],
-                columns[::step] * period[1] + position[1],
+                rows * period[0] + position[0],
+                columns * period[1] + position[1],
             )
     return None
+
+
+@njit(cache=True, error_model="numpy")
+def _histogram(plane: Counts) -> Indices:  # pragma: no cover - compiled
+    out = np.zeros(65536, np.int64)
+    for y in range(plane.shape[0]):
+        for x in range(plane.shape[1]):
+            out[plane[y, x]] += 1
+    return out
+
+
+def _witnesses(plane: Counts, low: int, mass: int) -> tuple[Indices, Indices]:
+    """Return the places of some of the `mass` samples from `low` on; of a large plateau, those in rows at even distances."""
+    for apart in (max(1, mass // (8 * _WITNESSES)), 1):
+        rows, columns = np.nonzero(plane[::apart] >= low)
+        if len(rows) >= min(_FEWEST, mass):
+            break
+    step = max(1, len(rows) // _WITNESSES)
+    return rows[::step] * apart, columns[::step]
 
 
 def is_clipping(

@@ -6,7 +6,7 @@ bracket that says nothing is merged as its files tell.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -14,12 +14,10 @@ import numpy as np
 from calibrate import CalibrateError
 from calibrate.exposure import FrameInfo
 from calibrate.merge.joint import Joint, Sites, fit_jointly
-from calibrate.merge.levels import dark_levels, find_plateau, is_clipping
+from calibrate.merge.levels import dark_levels
 from calibrate.merge.noise import guess_noise
 from calibrate.merge.records import Counts, Exposure, Float64, Measured, MosaicFrame, NoiseModel, Ratio
-
-# Photosites of all frames together that the fit looks at.
-_SAMPLES = 300_000
+from calibrate.merge.survey import Levels, black_groups, survey
 
 # A ratio is used if it is known this well (logarithm), and departs by more than `_TELLING` and `_SURE` standard errors.
 _KNOWN, _TELLING, _SURE = 3e-3, 5e-4, 4.0
@@ -36,8 +34,8 @@ _MASKED_DRIFT = 2e-4
 # Residuals that are so many times what noise explains mean that the scene itself was not the same.
 _UNEXPLAINED = 3.0
 
-# Clipping that starts this far below the file's level is worth a word, as is light that differs by this between tiles.
-_NOTABLE_CLIP, _NOTABLE_UNEVEN = 0.01, 0.02
+# Light that differs by this between tiles is worth a word.
+_NOTABLE_UNEVEN = 0.02
 
 # A gain and a read noise that are known worse than this are guessed instead.
 _NOISE_KNOWN = 0.15
@@ -88,17 +86,6 @@ class Asked:
 AS_TOLD = Asked(clip="file", black="file", exposures="file", noise="file")
 
 
-@dataclass(slots=True)
-class _Levels:
-    """The levels while they are being gathered; arrays are (N, P)."""
-
-    black: Float64
-    clip: Float64
-    black_from: str = "file"
-    clip_from: str = "file"
-    warnings: list[str] = field(default_factory=list)
-
-
 def measure_bracket(
     frames: Sequence[MosaicFrame],
     asked: Asked = AS_TOLD,
@@ -122,7 +109,7 @@ def measure_bracket(
     light = nominal_light(infos, mixed_aperture=asked.mixed_aperture)
     black = np.array([f.black_dn for f in infos], np.float64)
     white = np.array([f.white_dn for f in infos], np.float64)
-    levels = _Levels(black.copy(), white.copy())
+    levels = Levels(black.copy(), white.copy())
     _black_of(levels, infos, asked)
     if isinstance(asked.clip, (int, float)):
         levels.clip[:] = float(asked.clip)
@@ -132,7 +119,7 @@ def measure_bracket(
     noise_from = "settings" if asked.gain_e_per_dn and asked.read_noise_e else "guess"
     shift = 0.0
     if not asked.nothing:
-        sites = _survey(frames, infos, levels, light, asked, progress)
+        sites = survey(frames, infos, levels, light, plateaus=asked.clip == "data", progress=progress)
         joint = _fit(sites, infos, light, levels, noises, asked)
         ratios = _ratios(joint, infos, asked, levels.warnings)
         shift = _shift_black(joint, levels, infos, asked)
@@ -189,7 +176,7 @@ def _refuse(asked: Asked, infos: Sequence[FrameInfo]) -> None:
         )
 
 
-def _black_of(levels: _Levels, infos: Sequence[FrameInfo], asked: Asked) -> None:
+def _black_of(levels: Levels, infos: Sequence[FrameInfo], asked: Asked) -> None:
     if asked.dark is not None:
         levels.black[:] = dark_levels(asked.dark, infos[0])
         levels.black_from = "dark frame"
@@ -207,121 +194,11 @@ def _at_iso(noise: NoiseModel, info: FrameInfo, lowest: FrameInfo) -> tuple[floa
     return noise.gain_e_per_dn * (lowest.iso or 100.0) / (info.iso or 100.0), noise.read_noise_e
 
 
-def _survey(
-    frames: Sequence[MosaicFrame],
-    infos: Sequence[FrameInfo],
-    levels: _Levels,
-    light: Float64,
-    asked: Asked,
-    progress: Callable[[int, int], None] | None,
-) -> Sites:
-    """Decode every frame once: a grid of photosites of each, and the plateaus of the longest of each ISO."""
-    info = infos[0]
-    height, columns, period = info.height, info.columns, info.period
-    # A step without a common factor with any pattern visits all its positions.
-    step = max(1, int((height * columns * len(frames) / _SAMPLES) ** 0.5))
-    while math.gcd(step, 6) != 1:
-        step += 1
-    rows, across = np.arange(step // 2, height, step), np.arange(step // 2, columns, step)
-    counts = np.empty((len(rows) * len(across), len(frames)), np.uint16)
-    position = ((rows % period[0])[:, None] * period[1] + across % period[1]).ravel()
-    letters = info.cfa
-    groups = list(range(4)) if len(letters) == 4 else [sorted(set(letters)).index(c) for c in letters]
-    tile = ((rows * 8 // height)[:, None] * 8 + across * 8 // columns).ravel()
-    order = np.argsort(light.mean(axis=1), kind="stable")[::-1]
-    found: dict[float, list[tuple[int, int, object]]] = {}
-    pending: list[tuple[int, int, object]] = []
-    for done, k in enumerate(order):
-        mosaic = decoded(frames[k])
-        counts[:, k] = mosaic[np.ix_(rows, across)].ravel()
-        for longer, p, plateau in pending:
-            ratio = _rough_ratio(counts, position, p, longer, int(k), levels, light)
-            _judge(levels, infos, longer, p, plateau, mosaic, ratio, int(k))
-        pending = []
-        iso = infos[k].iso or 100.0
-        if asked.clip == "data" and iso not in found:
-            span = float(np.mean(levels.clip[k] - levels.black[k]))
-            for p in range(len(letters)):
-                plateau = find_plateau(mosaic, divmod(p, period[1]), period, span=span)
-                if plateau is not None:
-                    pending.append((int(k), p, plateau))
-            found[iso] = pending
-        del mosaic
-        if progress:
-            progress(done + 1, len(frames))
-    for longer, p, plateau in pending:
-        _judge(levels, infos, longer, p, plateau, None, 1.0, longer)
-    return Sites(counts, position, np.array(groups)[position], tile)
-
-
-def _rough_ratio(
-    counts: Counts, position: np.ndarray, p: int, longer: int, shorter: int, levels: _Levels, light: Float64
-) -> float:
-    """Return the light of one frame over another's from well exposed samples, or as told if there are none."""
-    at = position == p
-    high = counts[at, longer] - levels.black[longer, p]
-    low = counts[at, shorter] - levels.black[shorter, p]
-    span = levels.clip[longer, p] - levels.black[longer, p]
-    good = (high > 0.1 * span) & (high < 0.6 * span) & (low > 0.002 * span)
-    if good.sum() < 50:
-        return float(light[longer, p] / light[shorter, p])
-    return float(np.median(high[good] / low[good]))
-
-
-def _judge(
-    levels: _Levels,
-    infos: Sequence[FrameInfo],
-    longer: int,
-    p: int,
-    plateau: object,
-    shorter: Counts | None,
-    ratio: float,
-    other: int,
-) -> None:
-    """Take a plateau's level for all frames of its ISO, or say why not."""
-    from calibrate.merge.levels import Plateau
-
-    assert isinstance(plateau, Plateau)
-    info = infos[longer]
-    white = info.white_dn[p]
-    black, shorter_black = levels.black[longer, p], levels.black[other, p]
-    if not is_clipping(plateau, shorter, black=black, shorter_black=shorter_black, white=white, ratio=ratio):
-        return
-    if plateau.clip > white:
-        if plateau.level > white * (1 + _NOTABLE_CLIP) and p == 0:
-            levels.warnings.append(
-                f"{info.name}: samples clip at {plateau.level:g} counts, above the white level {white:g} of the file; the "
-                f"file's level is used. If it is wrong, set `merge.white_level: {plateau.clip:g}`."
-            )
-        return
-    for k, f in enumerate(infos):
-        if (f.iso or 100.0) == (info.iso or 100.0):
-            levels.clip[k, p] = min(levels.clip[k, p], plateau.clip)
-    levels.clip_from = "data"
-    if plateau.level < white * (1 - _NOTABLE_CLIP) and not any("clip at" in w for w in levels.warnings):
-        levels.warnings.append(
-            f"{info.name}: samples clip at {plateau.level:g} counts, below the white level {white:g} of the file; the "
-            "lower level is used, so that highlights keep their colour. Nothing need be done; `merge.white_level` sets "
-            "another."
-        )
-
-
-def decoded(frame: MosaicFrame) -> Counts:
-    """Return a frame's mosaic; a `CalibrateError` if it is not what the frame announced."""
-    raw, info = frame.mosaic(), frame.info
-    if raw.shape != (info.height, info.columns) or raw.dtype != np.uint16:
-        raise CalibrateError(
-            f"{info.name}: mosaic of shape {raw.shape} and type {raw.dtype}; ({info.height}, {info.columns}) and uint16 "
-            "are expected. The file may be damaged: copy it from the card again."
-        )
-    return raw
-
-
 def _fit(
     sites: Sites,
     infos: Sequence[FrameInfo],
     light: Float64,
-    levels: _Levels,
+    levels: Levels,
     noises: Sequence[tuple[float, float]],
     asked: Asked,
 ) -> Joint:
@@ -376,7 +253,7 @@ def _ratios(joint: Joint, infos: Sequence[FrameInfo], asked: Asked, warnings: li
     return out
 
 
-def _shift_black(joint: Joint, levels: _Levels, infos: Sequence[FrameInfo], asked: Asked) -> float:
+def _shift_black(joint: Joint, levels: Levels, infos: Sequence[FrameInfo], asked: Asked) -> float:
     """Move black by what the fit says where no better witness exists; return the mean shift."""
     span = float(np.mean(levels.clip - levels.black))
     if asked.black != "data" or levels.black_from != "file" or joint.spread > _UNEXPLAINED:
@@ -385,9 +262,7 @@ def _shift_black(joint: Joint, levels: _Levels, infos: Sequence[FrameInfo], aske
     sure &= np.abs(joint.black_shift) < _LARGEST_SHIFT * span
     if not sure.any():
         return 0.0
-    letters = infos[0].cfa
-    groups = list(range(4)) if len(letters) == 4 else [sorted(set(letters)).index(c) for c in letters]
-    shift = np.where(sure, joint.black_shift, 0.0)[groups]
+    shift = np.where(sure, joint.black_shift, 0.0)[black_groups(infos[0].cfa)]
     levels.black += shift
     levels.black_from = "bracket"
     return float(shift.mean())

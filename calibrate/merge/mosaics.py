@@ -7,17 +7,11 @@ import numpy as np
 import numpy.typing as npt
 
 from calibrate import CalibrateError
-from calibrate.exposure import BAYER_PATTERNS, MONOCHROME, by_exposure, check_bracket
+from calibrate.exposure import BAYER_PATTERNS, MONOCHROME, FrameInfo, by_exposure, check_bracket
 from calibrate.merge.defects import find_defects, replace_defects
-from calibrate.merge.measure import Asked, decoded, measure_bracket
-from calibrate.merge.records import Exposure, Float64, FrameUse, Measured, Merged, MosaicFrame, NoiseModel, Plane
-from calibrate.merge.weights import gather, weigh
-
-# A frame's share in the result is measured on about this many photosites.
-_SHARE_SAMPLES = 1 << 16
-
-Skip = npt.NDArray[np.uint8]
-_NONE = np.zeros((0, 0), np.uint8)
+from calibrate.merge.measure import Asked, measure_bracket
+from calibrate.merge.records import Exposure, Float64, FrameUse, Measured, Merged, MosaicFrame, NoiseModel
+from calibrate.merge.windows import Skip, Weighed, weigh_bracket
 
 
 def merge_mosaics(
@@ -41,9 +35,9 @@ def merge_mosaics(
     and counted.
 
     The frames are sorted by exposure first, and no sum runs across threads: the result is bit-identical for any order
-    of the frames and any number of threads. `mosaic()` of each frame is called twice, from the longest to the shortest
-    and back, and its result dropped at once. Peak memory is 18 bytes a photosite (four float32 planes and one uint16
-    mosaic), however many frames there are, plus what `mosaic()` itself needs.
+    of the frames and any number of threads. `mosaic()` of each frame is called once, and all results stay in memory
+    meanwhile (2 bytes a photosite each, beside 9 of the result); of more than 12 frames, once for each window of rows, and
+    at most 24 bytes a photosite stay.
 
     Parameters
     ----------
@@ -64,7 +58,7 @@ def merge_mosaics(
         One mask a frame, in the order of `frames`: shape (⌈H/2⌉, ⌈columns/2⌉), uint8, 1 where a 2×2 of it is left out.
         A sample that would be left out of every frame that does not clip is kept in the one that `ghosts` keeps.
     progress
-        Called with (frames decoded, frames to decode).
+        Called with (bands of rows done, bands).
 
     Raises
     ------
@@ -93,14 +87,12 @@ def merge_mosaics(
     order = by_exposure(infos, mixed_aperture=mixed_aperture)
     frames, infos = [frames[i] for i in order], [infos[i] for i in order]
     exposures = [measured.exposures[i] for i in order]
-    skips = [_NONE if ghosts is None else ghosts[i] for i in order]
-    shape = infos[0].height, infos[0].columns
-    weighted, weights, clipped, used, share = _two_passes(frames, exposures, skips, progress)
+    skips = None if ghosts is None else [ghosts[i] for i in order]
+    weighed = weigh_bracket(frames, exposures, skips, progress=progress)
+    mosaic, weights = weighed.mosaic, weighed.weights
     lost = weights == 0
-    np.divide(weighted, weights, out=weighted, where=~lost)
-    weighted[lost] = np.nan
-    mosaic = weighted
-    ceiling = _ceiling(exposures[0].light, exposures[0].clip, exposures[0].black, exposures[0].span)
+    shortest = exposures[0]
+    ceiling: Float64 = (shortest.clip - shortest.black) / shortest.span / shortest.light
     at = np.empty((0, 2), np.int32)
     cfa = infos[0].cfa
     if defects and cfa in (*BAYER_PATTERNS, MONOCHROME):
@@ -112,91 +104,34 @@ def merge_mosaics(
             sigma = np.divide(1.0, np.sqrt(weights, out=weights), out=weights)
         sigma[lost] = np.nan
     lost_count = int(lost.sum())
-    uses = tuple(
-        FrameUse(
-            info.name,
-            info.exposure_s or Fraction(0),
-            c,
-            u,
-            s,
-            float(np.max(e.light)) / float(info.exposure_s or 1),
-            int(np.count_nonzero(g)) * 4,
-        )
-        for info, e, c, u, s, g in zip(infos, exposures, clipped, used, share.shares(), skips, strict=True)
-    )
+    uses = _uses(infos, exposures, weighed, skips)
     warnings += _warnings(uses, lost_count, len(at), mosaic.size)
-    moved = None
-    if ghosts is not None:
-        moved = _whole(np.maximum.reduce([s.astype(np.bool_) for s in skips]), shape)
+    moved = None if skips is None else _whole(np.maximum.reduce([s.astype(np.bool_) for s in skips]), mosaic.shape)
     return Merged(
         mosaic, lost, cfa, uses, lost_count, len(at), at, measured.noise, ceiling, sigma, moved, tuple(warnings)
     )
 
 
-def _two_passes(
-    frames: Sequence[MosaicFrame],
-    exposures: Sequence[Exposure],
-    skips: Sequence[Skip],
-    progress: Callable[[int, int], None] | None,
-) -> tuple[Plane, Plane, list[int], list[int], "_Shares"]:
-    """Return Σ weight × radiance, Σ weight, clipped and used samples by frame, and the frames' shares."""
-    info = frames[0].info
-    columns, shape, steps = info.period[1], (info.height, info.columns), 2 * len(frames)
-    first, squares = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    clipped = [0] * len(frames)
-    for done, k in enumerate(reversed(range(len(frames)))):
-        rows, e = np.zeros(shape[0], np.int64), exposures[k]
-        gather(decoded(frames[k]), columns, e.black, e.clip, e.span, e.light, skips[k], first, squares, rows)
-        clipped[k] = int(rows.sum())
-        if progress:
-            progress(done + 1, steps)
-
-    weighted, weights = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    share = _Shares(shape)
-    used = []
-    for k, (frame, e) in enumerate(zip(frames, exposures, strict=True)):
-        rows = np.zeros(shape[0], np.int64)
-        electrons = e.gain_e_per_dn * e.span
-        read = (e.read_noise_e / electrons) ** 2
-        weigh(
-            decoded(frame), columns, e.black, e.clip, e.span, e.light, electrons, read, skips[k], first, squares,
-            weighted, weights, rows,
-        )  # fmt: skip
-        used.append(int(rows.sum()))
-        share.add(weights)
-        if progress:
-            progress(len(frames) + k + 1, steps)
-    return weighted, weights, clipped, used, share
-
-
-def _ceiling(light: Float64, clip: Float64, black: Float64, span: Float64) -> Float64:
-    ceiling: Float64 = (clip - black) / span / light
-    return ceiling
+def _uses(
+    infos: Sequence[FrameInfo], exposures: Sequence[Exposure], weighed: Weighed, skips: Sequence[Skip] | None
+) -> tuple[FrameUse, ...]:
+    return tuple(
+        FrameUse(
+            name=info.name,
+            exposure_s=info.exposure_s or Fraction(0),
+            clipped=weighed.clipped[k],
+            used=weighed.used[k],
+            share=weighed.shares[k],
+            light=float(np.max(exposures[k].light)) / float(info.exposure_s or 1),
+            ghosts=0 if skips is None else int(np.count_nonzero(skips[k])) * 4,
+        )
+        for k, info in enumerate(infos)
+    )
 
 
 def _whole(halves: npt.NDArray[np.bool_], shape: tuple[int, int]) -> npt.NDArray[np.bool_]:
     whole: npt.NDArray[np.bool_] = halves.repeat(2, axis=0).repeat(2, axis=1)[: shape[0], : shape[1]]
     return whole
-
-
-class _Shares:
-    """Follows how the weights of a regular sample of the pixels grow from frame to frame."""
-
-    def __init__(self, shape: tuple[int, int]) -> None:
-        # An odd step visits all positions of the 2×2.
-        self._step = max(1, int((shape[0] * shape[1] / _SHARE_SAMPLES) ** 0.5)) | 1
-        self._sums: list[Plane] = []
-
-    def add(self, weights: Plane) -> None:
-        self._sums.append(weights[:: self._step, :: self._step].copy())
-
-    def shares(self) -> list[float]:
-        total = self._sums[-1].astype(np.float64)
-        valid = total > 0
-        if not valid.any():
-            return [0.0] * len(self._sums)
-        parts = [float(np.mean(s[valid] / total[valid])) for s in self._sums]
-        return [b - a for a, b in zip([0.0, *parts], parts, strict=False)]
 
 
 def _warnings(uses: Sequence[FrameUse], lost: int, defects: int, pixels: int) -> list[str]:

@@ -114,6 +114,13 @@ def _corners(text: str) -> Any:
     help="The camera's spectral sensitivities (CSV, or JSON as of rawtoaces), to measure the chart's light with.",
 )
 @photometry_option("patch='{patch: white, luminance: 215}'")
+@click.option(
+    "--pair",
+    nargs=2,
+    type=FILE,
+    metavar="ON OFF",
+    help="Merged brackets of this view with the lamp on and off, each with its noise (`--set deviation=true`).",
+)
 @set_option("spectrum=module.csv")
 @json_option
 def balance(
@@ -123,6 +130,7 @@ def balance(
     lamp: str | None,
     camera: str | None,
     photometry: Sequence[str],
+    pair: tuple[Path, Path] | None,
     overrides: Sequence[str],
     as_json: bool,
 ) -> None:
@@ -135,10 +143,10 @@ def balance(
     from envcal.steps.balance import balance as work
     from envcal.steps.balance import calibrate_on_lamp
 
-    if profile is not None and (lamp is not None or camera is not None or photometry or overrides):
+    if profile is not None and (lamp is not None or camera is not None or pair is not None or photometry or overrides):
         raise click.UsageError(
-            "--lamp, --camera, --photometry and --set belong to the search for the lamp; a profile brings its own gains, "
-            "its chart's light and its unit."
+            "--lamp, --camera, --pair, --photometry and --set belong to the search for the lamp; a profile brings its own "
+            "gains, its chart's light and its unit."
         )
     absolute = stage_settings(PhotometrySettings, "photometry", photometry)
     if absolute.of_map is not None:
@@ -151,7 +159,7 @@ def balance(
         camera=camera,
     )
     if profile is None:
-        found = calibrate_on_lamp(corrected, settings, absolute)
+        found = calibrate_on_lamp(corrected, settings, absolute, pair=pair)
         found.write(out.with_suffix(".profile.json"))
     else:
         found = profiles.read(profile)

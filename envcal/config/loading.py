@@ -15,6 +15,9 @@ from envcal.config.models import DeclaredLight, Frames, Pipeline, Settings
 from envcal.config.reading import override, plain, read_yaml
 from envcal.errors import EnvcalError
 
+#: The shot of the reference's view with the lamp off.
+LAMP_OFF = "lamp_off"
+
 Model = TypeVar("Model", bound=Settings)
 
 
@@ -27,6 +30,7 @@ class Loaded:
     output: Path
     reference: tuple[Path, ...]
     environments: Mapping[str, tuple[Path, ...]]
+    lamp_off: tuple[Path, ...]
     lights: tuple[DeclaredLight, ...]
 
     @property
@@ -37,7 +41,8 @@ class Loaded:
     @property
     def shots(self) -> dict[str, tuple[Path, ...]]:
         """Shot name → frames, the reference first."""
-        return {"reference": self.reference, **self.environments}
+        pair = {LAMP_OFF: self.lamp_off} if self.lamp_off else {}
+        return {"reference": self.reference, **pair, **self.environments}
 
 
 def schema() -> str:
@@ -126,15 +131,16 @@ def _resolve(path: Path, tree: Any, settings: Pipeline) -> Loaded:
     environments: dict[str, tuple[Path, ...]] = {}
     if isinstance(capture.environment, dict):
         for name, patterns in capture.environment.items():
-            if name == "reference" or not name.replace("_", "").replace("-", "").isalnum():
+            if name in ("reference", LAMP_OFF) or not name.replace("_", "").replace("-", "").isalnum():
                 line = line_of(tree, ("capture", "environment", name))
                 mistakes.append(
                     f"{path}:{line}: capture.environment.{name}: a shot's name is made of letters, "
-                    f"digits, - and _, and is not `reference`; it becomes a file's name."
+                    f"digits, - and _, and is not `reference` or `{LAMP_OFF}`; it becomes a file's name."
                 )
             environments[name] = frames(patterns, ("capture", "environment", name))
     elif capture.environment is not None:
         environments["environment"] = frames(capture.environment, ("capture", "environment"))
+    lamp_off = () if capture.lamp_off is None else frames(capture.lamp_off, ("capture", LAMP_OFF))
     absent = _absent_files(path, tree, settings)
     mistakes += absent.values()
     owned = {
@@ -162,7 +168,7 @@ def _resolve(path: Path, tree: Any, settings: Pipeline) -> Loaded:
             )
     if mistakes:
         raise EnvcalError("\n".join(mistakes))
-    return Loaded(path, settings, folder / settings.output, reference, environments, tuple(lights))
+    return Loaded(path, settings, folder / settings.output, reference, environments, lamp_off, tuple(lights))
 
 
 def _absent_files(path: Path, tree: Any, settings: Pipeline) -> dict[tuple[str, str], str]:

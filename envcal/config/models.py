@@ -38,6 +38,9 @@ class CaptureSettings(Settings):
     environment: Frames | dict[str, Frames] | None = None
     """The bracket to turn into a map: a pattern or a list, or name → pattern for several shots. Left out: the
     reference itself is the map."""
+    lamp_off: Frames | None = None
+    """The bracket of the reference's view with the D65 lamp switched off, from the same tripod in the same light: a pattern
+    or a list. The difference of the two is the lamp, without what it reflects of the scene's light."""
 
 
 class LensByName(Settings):

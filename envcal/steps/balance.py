@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +19,13 @@ from envcal.spd import read_spd
 from envcal.steps import chart_light
 from envcal.steps.absolute import unit_of_chart
 
+if TYPE_CHECKING:
+    from calibrate.lamp import Lamp as Reading
+
+Floats = npt.NDArray[np.float64]
+
+#: The chart's patch 19, white, as its reference lists them.
+WHITE_PATCH = 18
 #: What a profile calls the space of the gains where the camera's sensitivities are known.
 CAMERA_RGB_BALANCE = "camera RGB"
 
@@ -27,13 +36,14 @@ def calibrate_on_lamp(
     photometry: PhotometrySettings | None = None,
     *,
     folder: Path = Path(),
+    pair: tuple[Path, Path] | None = None,
 ) -> Profile:
     """Find the lamp in a corrected reference shot and return its profile, completed with the chart's light and the unit.
 
-    Files that the settings name start from `folder`.
+    Files that the settings name start from `folder`. `pair` are the merged shots with the lamp on and off; the lamp is then
+    read in their difference.
     """
     from calibrate.adapt import cone_matrix, von_kries_matrix
-    from calibrate.lamp import find_lamp, measure_lamp, rectangle_from_chart
     from calibrate.trained import matrix_of_sensitivities
     from uplift.illuminants import measured_emission
     from uplift.spectrum import illuminant, observer, rgb_space, xyz_of
@@ -45,16 +55,6 @@ def calibrate_on_lamp(
             "Set `correct.fit: linear`, or leave `balance.camera` out."
         )
     space = rgb_space(profile.working_space)
-    corners = np.asarray(profile.chart.corners, np.float64)
-    latlong = header.size[1] == 2 * header.size[0]
-    if settings.lamp == "auto":
-        lamp = find_lamp(image, chart_corners=corners, xyz_from_rgb=space.xyz_from_rgb, latlong=latlong)
-    elif isinstance(settings.lamp, LampRectangle):
-        lamp = measure_lamp(image, rectangle=settings.lamp.rectangle, xyz_from_rgb=space.xyz_from_rgb, latlong=latlong)
-    else:
-        assert isinstance(settings.lamp, LampOnChart)
-        polygon = rectangle_from_chart(settings.lamp.chart_rectangle, corners)
-        lamp = measure_lamp(image, polygon, xyz_from_rgb=space.xyz_from_rgb, latlong=latlong)
     seen = observer()
     daylight = illuminant("D65", seen)
     spectrum = daylight
@@ -63,6 +63,11 @@ def calibrate_on_lamp(
         spectrum = measured_emission(*read_spd(path), seen, name=str(path))
     # (1, 1, 1) for D65 in a space whose white is D65.
     lamp_xyz = xyz_of(spectrum, seen)
+    if pair is None:
+        camera_rgb = _expected(header, settings, spectrum, lamp_xyz, seen.wavelengths_nm, folder)
+        lamp = _read_lamp(header, image, profile, settings, xyz_from_rgb=space.xyz_from_rgb, camera_rgb=camera_rgb)
+    else:
+        lamp = _read_pair(pair, profile, settings, xyz_from_rgb=space.xyz_from_rgb)
     destination = space.rgb_from_xyz @ (lamp_xyz / lamp_xyz[1])
     transform = settings.transform if settings.camera is None else CAMERA_RGB_BALANCE
     if settings.camera is None:
@@ -94,7 +99,7 @@ def calibrate_on_lamp(
     completed = profile.model_copy(
         update={
             "lamp": Lamp(
-                found="auto" if settings.lamp == "auto" else "settings",
+                found="settings" if settings.lamp != "auto" else "auto" if pair is None else "pair",
                 polygon=[(round(float(x), 3), round(float(y), 3)) for x, y in lamp.polygon],
                 pixels=int(lamp.pixels),
                 clipped=int(lamp.clipped),
@@ -116,6 +121,98 @@ def calibrate_on_lamp(
     unit, readings = unit_of_chart(completed, photometry or PhotometrySettings())
     warnings = [*completed.warnings, *doubts, *readings]
     return completed.model_copy(update={"light": light, "unit": unit, "warnings": warnings})
+
+
+def _expected(
+    header: exr.Header,
+    settings: BalanceSettings,
+    spectrum: Floats,
+    lamp_xyz: Floats,
+    wavelengths_nm: Floats,
+    folder: Path,
+) -> Floats | None:
+    """Camera RGB [3] that the lamp should have: by the camera's sensitivities, else by its published matrix, else None."""
+    if settings.camera is not None:
+        return np.asarray(spectrum @ sensitivities(chart_light.place_of(settings.camera, folder), wavelengths_nm))
+    if "envcalCameraFromXYZ" not in header.attributes:
+        return None
+    return np.asarray(np.asarray(header.json("envcalCameraFromXYZ"), np.float64) @ lamp_xyz)
+
+
+def _read_lamp(
+    header: exr.Header,
+    image: npt.NDArray[np.float32],
+    profile: Profile,
+    settings: BalanceSettings,
+    *,
+    xyz_from_rgb: Floats,
+    camera_rgb: Floats | None,
+) -> Reading:
+    """The lamp in one picture in working RGB: where the settings say, else the one found."""
+    from calibrate.lamp import find_lamp
+
+    if settings.lamp != "auto":
+        return _read_named(image, profile, settings, header, xyz_from_rgb=xyz_from_rgb, alone=False)
+    corners = np.asarray(profile.chart.corners, np.float64)
+    latlong = header.size[1] == 2 * header.size[0]
+    # Root terms are of no account for a colour that is expected to a percent only.
+    expected = None if camera_rgb is None else np.asarray(profile.matrix, np.float64) @ camera_rgb
+    return find_lamp(image, chart_corners=corners, xyz_from_rgb=xyz_from_rgb, expected_rgb=expected, latlong=latlong)
+
+
+def _read_named(
+    image: npt.NDArray[np.float32],
+    profile: Profile,
+    settings: BalanceSettings,
+    header: exr.Header,
+    *,
+    xyz_from_rgb: Floats,
+    alone: bool,
+) -> Reading:
+    """The lamp where the settings say that it is; `alone`: the picture holds no other light."""
+    from calibrate.lamp import measure_lamp, rectangle_from_chart
+
+    latlong = header.size[1] == 2 * header.size[0]
+    if isinstance(settings.lamp, LampRectangle):
+        return measure_lamp(
+            image, rectangle=settings.lamp.rectangle, xyz_from_rgb=xyz_from_rgb, latlong=latlong, alone=alone
+        )
+    assert isinstance(settings.lamp, LampOnChart)
+    polygon = rectangle_from_chart(settings.lamp.chart_rectangle, np.asarray(profile.chart.corners, np.float64))
+    return measure_lamp(image, polygon, xyz_from_rgb=xyz_from_rgb, latlong=latlong, alone=alone)
+
+
+def _read_pair(
+    pair: tuple[Path, Path], profile: Profile, settings: BalanceSettings, *, xyz_from_rgb: Floats
+) -> Reading:
+    """The lamp in the difference of two merged pictures, lamp on and lamp off."""
+    from calibrate.correct import apply_matrix
+    from calibrate.lamp import find_lit_lamp, lamp_alone
+
+    (header, on, sigma_on), (_, off, sigma_off) = (_read_merged(path) for path in pair)
+    white = np.asarray(profile.chart.patches[WHITE_PATCH].camera_rgb)
+    alone = lamp_alone(on, off, sigma_on=sigma_on, sigma_off=sigma_off, white_rgb=white)
+    working = apply_matrix(alone.light, profile.full_matrix())
+    if settings.lamp == "auto":
+        latlong = header.size[1] == 2 * header.size[0]
+        lamp = find_lit_lamp(alone, working, xyz_from_rgb=xyz_from_rgb, latlong=latlong)
+    else:
+        lamp = _read_named(working, profile, settings, header, xyz_from_rgb=xyz_from_rgb, alone=True)
+    return dataclasses.replace(lamp, warnings=(*alone.warnings, *lamp.warnings))
+
+
+def _read_merged(path: Path) -> tuple[exr.Header, npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    header, image = exr.read_rgb(path)
+    names = [f"sigma.{channel}" for channel in "RGB"]
+    if header.attributes.get("envcalSpace") != provenance.CAMERA_RGB or any(n not in header.channels for n in names):
+        raise EnvcalError(
+            f"{path}: is no merged bracket with its noise, which the difference of lamp on and lamp off needs. Make it with "
+            "`envcal merge FRAME… -o merged.exr --set deviation=true`."
+        )
+    _, planes = exr.read(path, [*names, "lost"])
+    # Lost light may have been filled with what nobody measured.
+    image = np.where(planes["lost"][..., None] > 0, np.float32(np.nan), image)
+    return header, image, np.stack([planes[name] for name in names], axis=2)
 
 
 def balance(

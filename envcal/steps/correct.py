@@ -118,6 +118,8 @@ def correct(
         "envcalCamera": header.json("envcalCamera"),
         "envcalProfile": profile.model_dump(mode="json"),
     }
+    if "envcalCameraFromXYZ" in header.attributes:
+        attributes["envcalCameraFromXYZ"] = header.json("envcalCameraFromXYZ")
     exr.write(out, exr.with_lost(corrected), attributes=attributes)
     delta_e = profile.delta_e()
     negative = int((corrected < 0).any(axis=2).sum())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from envcal import exr, provenance
+from envcal.atomic import digest
 from envcal.config import MergeSettings
 from envcal.errors import EnvcalError
 from envcal.profile import Camera
@@ -38,12 +40,18 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
     from calibrate.lens import remove_vignetting
     from calibrate.lost import lost_share
     from calibrate.merge import measure_bracket, merge_mosaics
-    from envcal.raw import open_bracket
+    from envcal.raw import KEPT_IF_MOVED, KEPT_MOSAICS, camera_from_xyz, open_bracket
 
-    raws = [raw.described(**changes_of(raw.path.name, settings)) for raw in open_bracket(frames)]
+    opened = open_bracket(frames, keep=KEPT_IF_MOVED if settings.align else KEPT_MOSAICS)
+    raws = [raw.described(**changes_of(raw.path.name, settings)) for raw in opened]
+    del opened
     check_bracket([raw.info for raw in raws], mixed_iso=settings.mixed_iso, mixed_aperture=settings.mixed_aperture)
     infos = [raw.info for raw in raws]
     vignetting, lens, doubts = fall_off(settings, infos)
+    # The merge uses one core at times; the files are read for their digests meanwhile.
+    pool = ThreadPoolExecutor(1)
+    digests = pool.submit(lambda: {path: digest(path) for path in frames})
+    pool.shutdown(wait=False)
     asked = _asked(settings, raws)
     measured = measure_bracket(raws, asked)
     placed, displaced, moves = _placed(raws, measured, settings)
@@ -74,20 +82,25 @@ def merge(frames: Sequence[Path], out: Path, settings: MergeSettings, *, progres
         image = remove_vignetting(image, vignetting)
     camera = Camera(model=info.camera, lens=info.lens, iso=iso, f_number=f_number, focal_length_mm=info.focal_length_mm)
     attributes = {
-        **provenance.attributes("merge", settings=settings.model_dump(mode="json"), inputs=frames),
+        **provenance.attributes(
+            "merge", settings=settings.model_dump(mode="json"), inputs=frames, digests=digests.result()
+        ),
         **provenance.colour_space(provenance.CAMERA_RGB),
         "envcalCamera": camera.model_dump(mode="json"),
     }
-    planes: dict[str, npt.NDArray[Any]] = {**exr.rgb_planes(image), "lost": lost.astype(np.uint32)}
+    matrix = camera_from_xyz(frames[0])
+    if matrix is not None:
+        attributes["envcalCameraFromXYZ"] = matrix
+    planes: dict[str, npt.NDArray[Any]] = {**_views(image), "lost": lost}
     if merged.ghosts is not None:
-        planes["ghost"] = np.ascontiguousarray(merged.ghosts[:, :: merged.ghosts.shape[1] // lost.shape[1]], np.uint32)
+        planes["ghost"] = merged.ghosts[:, :: merged.ghosts.shape[1] // lost.shape[1]]
     if merged.deviation is not None:
         from calibrate.demosaic import spread
 
         sigma = spread(merged.deviation, merged.cfa)
         sigma = sigma if vignetting is None else remove_vignetting(sigma, vignetting)
-        planes |= {f"sigma.{name}": plane for name, plane in exr.rgb_planes(sigma).items()}
-    exr.write(out, planes, attributes=attributes)
+        planes |= {f"sigma.{name}": plane for name, plane in _views(sigma).items()}
+    exr.write(out, planes, attributes=attributes, compression="rle")
     figures = {
         "shot": out.stem,
         "size": [image.shape[1], image.shape[0]],
@@ -243,6 +256,11 @@ def _ghosts(frames: Sequence[MosaicFrame], measured: Measured, settings: MergeSe
     from calibrate.deghost import find_ghosts
 
     return find_ghosts(frames, measured.exposures)
+
+
+def _views(image: npt.NDArray[np.float32]) -> dict[str, npt.NDArray[np.float32]]:
+    """Return the planes of an image without copying them: the writer does so band by band."""
+    return {name: image[..., k] for k, name in enumerate("RGB")}
 
 
 def _of_colours(values: npt.NDArray[np.float64], cfa: str) -> list[float]:

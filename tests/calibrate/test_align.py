@@ -111,6 +111,17 @@ def test_a_scene_without_structure_is_not_moved() -> None:
     assert not any(d.moved for d in found)
 
 
+def test_a_frame_of_another_scene_is_refused_by_name() -> None:
+    frames, _ = handheld(4, 5.0)
+    strangers, _ = handheld(54, 5.0)
+    mixed = [*frames[:3], strangers[3]]
+    with pytest.raises(CalibrateError) as caught:
+        find_displacements(mixed, measure_bracket(mixed, Asked()).exposures)
+    (line,) = str(caught.value).splitlines()
+    assert line.startswith("3.dng: has nothing in common with 2.dng, its neighbour in exposure: 0 of ")
+    assert line.endswith("Take the one that shows something else out of the bracket, or set `merge.align: false`.")
+
+
 def test_an_even_shift_moves_the_counts_themselves() -> None:
     mosaic = np.random.default_rng(1).integers(500, 16000, (20, 24), dtype=np.uint16)
     out = shifted(mosaic, (4.0, -2.0), clip=CLIP, step=2)

@@ -6,7 +6,10 @@ import pytest
 
 from calibrate import CalibrateError
 from calibrate.chart import chart_from_corners, chart_reference, find_chart, measure_patches
+from calibrate.chart.gaps import between_gaps
 from calibrate.chart.geometry import BOX_HEIGHT, BOX_WIDTH, box_corners, patch_quads, signed_area
+from calibrate.chart.homographies import agreed_homographies
+from calibrate.chart.sheets import sheets
 from calibrate.chart.views import view_at
 from calibrate.correct import fit_matrix
 from tests.calibrate.rendered import flat_picture, homography, latlong_picture, patch_colours
@@ -246,10 +249,65 @@ def test_the_answer_does_not_depend_on_the_number_of_threads_or_on_what_was_sear
     assert len(set(found)) == 1
 
 
-def test_a_chart_that_is_cut_off_by_the_border_is_refused():
+def test_a_chart_whose_first_column_is_beyond_the_border_is_refused():
+    with pytest.raises(CalibrateError, match=r"correct\.chart"):
+        find_chart(np.ascontiguousarray(picture()[100:330, 225:450]))
+
+
+@pytest.mark.slow
+def test_a_chart_that_is_cut_off_by_the_border_is_refused_in_clutter_too():
     from benchmarks.chart_scenes import scene_without_chart
 
     scene = scene_without_chart(25)
     assert scene.what == "partial charts"
     with pytest.raises(CalibrateError, match=r"correct\.chart"):
         find_chart(scene.image)
+
+
+def test_glare_across_the_chart_moves_its_box_by_less_than_half_a_percent():
+    height, width = picture().shape[:2]
+    y, x = np.mgrid[:height, :width]
+    spot = np.exp(-0.5 * ((x - 250) ** 2 + (y - 180) ** 2) / 45**2)
+    image = picture() + (0.4 * patch_colours("A")[18].mean() * spot[..., None]).astype(np.float32)
+    misses = np.hypot(*(find_chart(image).corners - CORNERS).T)
+    # The patches' levels and the outlines of their zones, which glare changes, were off by two percent of the width.
+    assert misses.max() < 0.005 * np.hypot(*(CORNERS[1] - CORNERS[0]))
+
+
+def test_a_box_off_by_a_quarter_of_a_patch_is_drawn_to_the_gaps():
+    # In pixels, of which a patch has 33.
+    moved = CORNERS + np.array([[8.0, 4.0], [5.0, 7.0], [7.0, 6.0], [5.0, 8.0]])
+    drawn = between_gaps(picture("D65"), moved)
+    assert drawn is not None
+    np.testing.assert_allclose(drawn, CORNERS, atol=CORNER_PX)
+
+
+def test_where_there_are_no_gaps_no_box_is_drawn():
+    noise = np.random.default_rng(6).random((400, 600, 3)).astype(np.float32)
+    assert between_gaps(noise, CORNERS) is None
+    assert between_gaps(np.full((400, 600, 3), np.nan, np.float32), CORNERS) is None
+
+
+@pytest.mark.parametrize("pole", [1, 0, -1])
+def test_a_sheet_of_a_map_shows_the_directions_it_names(pole):
+    from tests.calibrate.rendered import map_directions
+
+    sheet = next(each for each in sheets(map_directions(256).astype(np.float32)) if each.pole == pole)
+    height, width = sheet.pixels.shape[:2]
+    points = np.random.default_rng(7).uniform([8, 8], [width - 9, height - 9], (200, 2)).round()
+    if pole:  # within the cap
+        points = points[np.hypot(*(points - sheet.first).T) < 0.95 * sheet.first]
+    x, y = points.astype(int).T
+    shown = sheet.pixels[y, x] / np.linalg.norm(sheet.pixels[y, x], axis=1, keepdims=True)
+    # The map holds its own directions; half a degree of a 0.7° grid is interpolation.
+    np.testing.assert_allclose(shown, sheet.directions(points), atol=0.01)
+
+
+def test_a_homography_through_a_grid_is_exact_and_leaves_strays_out():
+    places = np.stack(np.meshgrid(np.arange(6), np.arange(4)), -1).reshape(-1, 2).astype(float)
+    truth = np.array([[40.0, 5.0, 100.0], [-3.0, 35.0, 80.0], [0.01, 0.02, 1.0]])
+    lifted = np.column_stack([places, np.ones(24)]) @ truth.T
+    points = lifted[:, :2] / lifted[:, 2:]
+    points[[3, 17]] += 9.0
+    solved = agreed_homographies(places, points, np.ones((1, 24), np.bool_))[0]
+    np.testing.assert_allclose(solved / solved[2, 2], truth, rtol=1e-6, atol=1e-6)

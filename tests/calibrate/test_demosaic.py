@@ -10,6 +10,7 @@ import pytest
 
 from calibrate import CalibrateError
 from calibrate.demosaic import METHODS, demosaic, lost_pixels, spread
+from calibrate.demosaic.scale import to_light, to_log
 from calibrate.exposure import BAYER_PATTERNS
 
 Image = npt.NDArray[np.float32]
@@ -18,6 +19,8 @@ Image = npt.NDArray[np.float32]
 INSIDE = (slice(2, -2), slice(2, -2))
 # float32 keeps 24 bits; one rounding of the sample, one of the result.
 ROUNDING = 2.0**-22
+# A polynomial to 1e-7, and a few roundings.
+FLOAT32 = 4e-7
 
 
 def sampled(image: npt.NDArray[Any], cfa: str) -> Image:
@@ -288,3 +291,23 @@ def test_a_method_that_does_not_exist_is_refused() -> None:
 def test_what_is_no_mosaic_is_refused(mosaic: Image, cfa: str, lost: npt.NDArray[np.bool_] | None, said: str) -> None:
     with pytest.raises(CalibrateError, match=said):
         demosaic(mosaic, cfa, lost=lost)
+
+
+def test_the_logarithmic_scale_and_its_inverse_are_as_good_as_float32() -> None:
+    x = np.concatenate([-np.geomspace(1e7, 1e-4, 3000), [0.0], np.geomspace(1e-6, 1e9, 9000)]).astype(np.float32)
+    logarithm = np.empty_like(x)
+    to_log(x, np.float32(0.5), logarithm)
+    exact = np.arcsinh(x.astype(np.float64) / 2)
+    np.testing.assert_allclose(logarithm, exact, rtol=FLOAT32, atol=FLOAT32)
+    light = logarithm.copy()
+    to_light(light, np.float32(2))
+    # A rounding of a logarithm of 20 is that of the light times 20.
+    np.testing.assert_allclose(light, x, rtol=20 * FLOAT32, atol=FLOAT32)
+
+
+@pytest.mark.parametrize("cfa", ["RGGB", "GBRG"])
+def test_no_tile_shows_in_the_image(cfa: str) -> None:
+    motif = (10 ** np.random.default_rng(3).normal(0, 0.8, (32, 32))).astype(np.float32)
+    image = demosaic(np.tile(motif, (5, 34)), cfa)
+    inside = image[32:-32, 32:-32]
+    np.testing.assert_array_equal(inside, np.tile(inside[:32, :32], (3, 32, 1)))

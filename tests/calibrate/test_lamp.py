@@ -133,6 +133,65 @@ def test_a_module_marked_as_clipped_in_half_is_refused_and_in_a_tenth_warned_abo
     assert any("clipped pixels" in warning for warning in lamp.warnings)
 
 
+def test_a_known_camera_tells_the_module_from_a_window_of_another_colour():
+    image, rgb = room("A")
+    cool = np.linalg.inv(XYZ_FROM_RGB) @ (XYZ_FROM_RGB @ rgb * np.array([0.93, 1.0, 1.25]))
+    both = with_lamp(with_lamp(image, 2.5 * rgb, (470, 130, 12, 100)), 5 * cool, (400, 120, 24, 30))
+    lamp = find(both, expected_rgb=rgb)
+    np.testing.assert_allclose(lamp.rgb, 2.5 * rgb, rtol=READING)
+    assert not any("may not be the lamp" in warning or "another region" in warning for warning in lamp.warnings)
+    # Without the camera's matrix both colours are those of D65 under some light, and the window is nearer.
+    unknown = find(both)
+    assert any("another region" in warning for warning in unknown.warnings)
+
+
+def test_a_camera_that_is_not_as_published_still_finds_the_module_but_says_so():
+    image, rgb = room("A")
+    lamp = find(with_lamp(image, 2.5 * rgb), expected_rgb=np.ones(3))
+    np.testing.assert_allclose(lamp.rgb, 2.5 * rgb, rtol=READING)
+    assert any("not where the camera's own matrix puts D65" in warning for warning in lamp.warnings)
+
+
+def test_panes_of_a_window_are_not_preferred_to_the_module_that_stands_alone():
+    image, rgb = room("A")
+    for column in range(3):
+        image = with_lamp(image, 2.5 * rgb * np.array([1.01, 1.0, 0.99]), (400 + 40 * column, 60, 30, 30))
+    lamp = find(with_lamp(image, 2.5 * rgb, (405, 140, 14, 90)), expected_rgb=rgb)
+    np.testing.assert_allclose(lamp.polygon.mean(axis=0), centre((405, 140, 14, 90)), atol=1.5)
+
+
+@pytest.mark.parametrize(("brightness", "told"), [(1.5, True), (60.0, False)])
+def test_a_lamp_that_may_reflect_the_scenes_light_is_told_of_with_a_figure(brightness, told):
+    image, rgb = room("A")
+    lamp = find(with_lamp(image, brightness * rgb), expected_rgb=rgb)
+    said = [text for text in lamp.warnings if "may be light of the scene that it reflects" in text]
+    assert bool(said) == told
+    if told:
+        share = 0.7 / float(XYZ_FROM_RGB[1] @ lamp.rgb)
+        assert f"up to {share:.0%} of what it shows" in said[0]
+
+
+def test_a_lamp_as_dim_as_an_unlit_surface_is_refused_with_its_brightness():
+    image, rgb = room("A")
+    with pytest.raises(
+        CalibrateError, match=r"is 0\.5\d? times as bright as the chart's white.*capture\.lamp_off|no region"
+    ):
+        find(with_lamp(image * np.float32(0.25), 0.5 * rgb / float(XYZ_FROM_RGB[1] @ rgb)), expected_rgb=rgb)
+
+
+def test_a_lamp_in_the_noise_is_refused_and_one_near_it_warned_about():
+    rng = np.random.default_rng(4)
+    for scatter, pixels, outcome in ((0.6, 8, "refused"), (0.3, 16, "warned"), (0.05, 16, "")):
+        image = (1 + scatter * rng.standard_normal((40, 40, 3))).astype(np.float32)
+        area = {"rectangle": (5, 5, pixels, pixels), "xyz_from_rgb": XYZ_FROM_RGB, "alone": True}
+        if outcome == "refused":
+            with pytest.raises(CalibrateError, match=r"known to \d+\.\d% in its worst channel.*longer exposures"):
+                measure_lamp(image, **area)
+            continue
+        said = [text for text in measure_lamp(image, **area).warnings if "in its worst channel" in text]
+        assert bool(said) == bool(outcome)
+
+
 def test_two_modules_are_told_of():
     image, rgb = room()
     both = with_lamp(with_lamp(image, 3 * rgb), 3 * rgb, (160, 120, 12, 110))

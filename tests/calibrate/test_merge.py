@@ -15,7 +15,7 @@ import pytest
 
 from calibrate import CalibrateError
 from calibrate.exposure import FrameInfo
-from calibrate.merge import Merged, MosaicFrame, NoiseModel, guess_noise, merge_mosaics
+from calibrate.merge import Merged, MosaicFrame, NoiseModel, guess_noise, merge_mosaics, windows
 
 Counts = npt.NDArray[np.uint16]
 Radiance = npt.NDArray[np.float64]
@@ -244,44 +244,49 @@ def test_order_of_frames_and_number_of_threads_change_no_bit() -> None:
         numba.set_num_threads(threads)
 
 
-class CountingFrame(Frame):
-    """Fails if another frame's mosaic is still held when this one is decoded."""
-
-    fellows: Sequence[Frame] = ()
-
-    def mosaic(self) -> Counts:
-        assert not any(r() is not None for f in self.fellows for r in f.alive)
-        return super().mosaic()
+def many(shape: tuple[int, int], count: int) -> list[Frame]:
+    """A bracket of exposures 1/3 EV apart; all frames share one array, as files on a disk would."""
+    counts = exposed(smooth(shape, -2, 0), [Fraction(1, 64)])[0].counts
+    times = [Fraction(round(1e6 * 2 ** (k / 3)), 10**8) for k in range(count)]
+    return [Frame(info_of(t, shape), counts) for t in times]
 
 
-def test_one_decoded_mosaic_is_alive_at_a_time() -> None:
-    frames = [CountingFrame(f.info, f.counts) for f in exposed(smooth((20, 30), -2, 1))]
-    for f in frames:
-        f.fellows = frames
+def test_each_mosaic_is_decoded_once_and_none_is_held_afterwards() -> None:
+    frames = exposed(smooth((20, 30), -2, 1))
     merge_mosaics(frames)
-    assert all(len(f.alive) == 2 for f in frames)
+    assert [len(f.alive) for f in frames] == [1] * len(frames)
+    assert not any(r() is not None for f in frames for r in f.alive)
+
+
+def test_a_long_bracket_is_merged_in_windows_to_the_same_values(monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = exposed(smooth((150, 60), -2, 1), [Fraction(2**n, 64) for n in range(8)])
+    whole = merge_mosaics(frames)
+    monkeypatch.setattr(windows, "MOSAICS_AT_ONCE", 3)
+    assert_same(whole, merge_mosaics(frames))
+    # 150 rows in windows of 48.
+    assert {len(f.alive) for f in frames} == {1 + 4}
 
 
 def test_memory_does_not_grow_with_the_number_of_frames() -> None:
-    shape = (600, 800)
-    radiance = smooth(shape, -2, 0)
+    shape = (1500, 320)
 
-    def peak(count: int) -> int:
-        # 1/3 EV apart; all frames share one array, as files on a disk would.
-        counts = exposed(radiance, [Fraction(1, 64)])[0].counts
-        times = [Fraction(round(1e6 * 2 ** (k / 3)), 10**8) for k in range(count)]
-        frames = [Frame(info_of(t, shape), counts) for t in times]
+    def peak(count: int) -> float:
+        frames = many(shape, count)
         merge_mosaics(frames[:2])
         tracemalloc.start()
         merge_mosaics(frames)
         highest = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
-        return highest
+        return highest / (shape[0] * shape[1])
 
-    few, many = peak(3), peak(12)
-    # The record of shares keeps about 2¹⁶ numbers a frame, whatever the size of the mosaic.
-    assert many < few + 9 * 4 * 2**17
-    assert few < 20 * shape[0] * shape[1]
+    def allowed(count: int, held: float) -> float:
+        # In bytes a photosite: mosaic, weights and a mask; a band's rows; three tallies a row; what every call needs.
+        return 4 + 4 + 1 + held + count * (48 * 2 / shape[0] + 24 / shape[1]) + 2
+
+    assert peak(3) < allowed(3, 2 * 3)
+    # Rows of every frame, 12 mosaics' worth, and one mosaic while its rows are cut out.
+    assert peak(26) < allowed(26, 24 + 2)
+    assert peak(52) < allowed(52, 24 + 2)
 
 
 def test_what_is_clipped_everywhere_is_nan_masked_counted_and_told() -> None:
@@ -332,10 +337,10 @@ def test_mixed_iso_gives_the_radiance_of_the_lowest() -> None:
     assert [f.name for f in merged.frames] == ["1_1.dng", "high.dng"]
 
 
-def test_progress_counts_every_decoding() -> None:
+def test_progress_counts_bands_of_rows() -> None:
     told: list[tuple[int, int]] = []
-    merge_mosaics(exposed(smooth((20, 30), -1, 0)), progress=lambda done, total: told.append((done, total)))
-    assert told == [(k, 10) for k in range(1, 11)]
+    merge_mosaics(exposed(smooth((100, 30), -1, 0)), progress=lambda done, total: told.append((done, total)))
+    assert told == [(1, 3), (2, 3), (3, 3)]
 
 
 def test_the_guessed_noise_model_scales_with_levels_and_iso() -> None:

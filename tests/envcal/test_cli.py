@@ -47,7 +47,7 @@ def test_the_command_line_names_the_stages_and_spaces_of_the_code():
 
 
 def test_every_stage_takes_only_what_an_earlier_one_leaves():
-    left = {"{frames}", "{darkroom}", "{chart}", "{lamp}", "{spectra}"}
+    left = {"{frames}", "{darkroom}", "{chart}", "{lamp}", "{pair}", "{spectra}"}
     for stage in STAGES:
         assert {name.replace("{map}", "{shot}") for name in stage.inputs} <= left, stage.name
         left |= set(stage.outputs)

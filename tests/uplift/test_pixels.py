@@ -22,6 +22,7 @@ from uplift.pixels import (
 )
 from uplift.sigmoid import reflectance
 from uplift.spectrum import illuminant, observer, rgb_space, rgb_weights, xyz_of
+from uplift.surface import CUBIC, CURVED, LINEAR
 from uplift.table import build_table
 
 EYES = observer()
@@ -109,6 +110,26 @@ def test_tiles_and_threads_change_no_bit_at_lower_precision(precision):
         numba.set_num_threads(threads)
     for name in ("coefficients", "scale", "status"):
         np.testing.assert_array_equal(getattr(whole, name)[41:97, 5:], getattr(tile, name))
+
+
+@pytest.mark.parametrize("space", ["ITU-R BT.2020", "sRGB"])
+@pytest.mark.parametrize("name", ["D65", "A", "FL2", "FL11", "LED-B3", "1200 K"])
+def test_previews_keep_their_promise_all_over_the_cells_that_only_they_look_up_cubically(name, space):
+    space = rgb_space(space)
+    table = build_table(light(name), observer=EYES, space=space)
+    m, i, j = np.nonzero((table.grades & (LINEAR | CUBIC | CURVED)) == CURVED)
+    assert m.size > 100
+    rng = np.random.default_rng(24)
+    G = np.ones((m.size, 8, 3))  # eight places in each cell
+    for step, corner in ((1, i), (2, j)):
+        ratio = (corner[:, None] + rng.random((m.size, 8))) / table.grades.shape[1]
+        np.put_along_axis(G, ((m + step) % 3)[:, None, None], ratio[..., None], axis=2)
+    rgb = G @ np.linalg.inv(table.axes).T
+    result = uplift_pixels(rgb, np.zeros(rgb.shape[:2], np.uint32), [table], precision="preview")
+    assert result.counts[Status.EXACT] == rgb.shape[0] * rgb.shape[1]
+    difference = delta_e_2000(rgb, back(result, space), space, white=None)
+    assert difference.max() < 0.05
+    assert np.median(difference) > ROUND_TRIP  # or Newton's method had answered
 
 
 def test_an_unknown_precision_is_refused():

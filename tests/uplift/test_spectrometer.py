@@ -227,6 +227,7 @@ def test_the_sensitivities_of_another_camera_are_refused_and_named():
     )
 
 
+@pytest.mark.slow
 def test_a_camera_unlike_all_others_is_refused_and_named_whether_or_not_its_light_seems_to_fit():
     told = "the camera's sensitivities are unlike those of the cameras known here"
     text = refused(read(illuminant("LED-B3", EYES), curves=narrow_camera()))
