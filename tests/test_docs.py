@@ -327,6 +327,7 @@ def test_the_uplift_stands_alone_as_the_page_of_its_functions_shows(tmp_path, mo
     np.testing.assert_allclose(left["xyz"][..., 1], rgb @ rgb_space("sRGB").luminance_weights, rtol=1e-9)
     # The bands on disk are samples of the spectra, and a ray in the middle of a texel sees one of them.
     whole = (found.coefficients, found.scale, found.emission, found.emissions)
+    np.testing.assert_array_equal(left["at_550"], spectra_of(*whole, np.array([500.0, 550.0]), observer=seen)[..., 1])
     bands = spectra_of(*whole, left["bands_nm"], observer=seen)
     np.testing.assert_allclose(np.load(tmp_path / "bands.npy"), bands, rtol=FLOAT32)
     rays, wavelengths = left["seen_by_ray"], left["wavelengths_nm"]

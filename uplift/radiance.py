@@ -94,7 +94,10 @@ def _flat(
             "expected [..., 3], [...] and integers [...]"
         )
     if lights.ndim != 2 or lights.shape[1] != size:
-        raise UpliftError(f"{place}: emissions of shape {lights.shape}; expected [K, {size}], on the observer's grid")
+        raise UpliftError(
+            f"{place}: emissions of shape {lights.shape}; expected [K, {size}], on the observer's grid. "
+            "illuminants.measured_emission brings a spectrum to it"
+        )
     if k.size and not 0 <= int(k.min()) <= int(k.max()) < len(lights):
         raise UpliftError(
             f"{place}: emission indices run from {k.min()} to {k.max()}, but there are {len(lights)} emissions"

@@ -30,10 +30,17 @@ def radiance_at(
         Shape (K, N): the lights on the grid of `observer`. Between its wavelengths they are linear, and so is what is
         returned for a grey pixel; outside of it they are zero.
 
+    For one list of wavelengths there is `radiance.spectra_of`.
+
     Raises UpliftError if shapes disagree or an index has no emission. A wavelength that is NaN has radiance 0.
     """
     c, s, k = np.asarray(coefficients), np.asarray(scale), np.asarray(emission_index)
     lights, asked = np.asarray(emissions, dtype=np.float64), np.asarray(wavelengths_nm, dtype=np.float64)
+    if asked.ndim == 0 or (asked.ndim == 1 and s.ndim > 0):
+        raise UpliftError(
+            f"radiance_at: wavelengths of shape {asked.shape} for pixels of shape {s.shape}; expected {(*s.shape, 'M')}, some for "
+            f"each pixel. For one list of wavelengths use radiance.spectra_of: spectra_of(..., [550.0], observer=observer)"
+        )
     if c.shape != (*s.shape, 3) or s.shape != k.shape or k.dtype.kind not in "ui" or asked.shape[:-1] != s.shape:
         raise UpliftError(
             f"radiance_at: coefficients {c.shape}, scale {s.shape}, emission index {k.shape} of {k.dtype} and wavelengths "
@@ -42,7 +49,8 @@ def radiance_at(
     size = observer.wavelengths_nm.size
     if lights.ndim != 2 or lights.shape[1] != size:
         raise UpliftError(
-            f"radiance_at: emissions of shape {lights.shape}; expected [K, {size}], on the observer's grid"
+            f"radiance_at: emissions of shape {lights.shape}; expected [K, {size}], on the observer's grid. "
+            "illuminants.measured_emission brings a spectrum to it"
         )
     if k.size and not 0 <= int(k.min()) <= int(k.max()) < len(lights):
         raise UpliftError(

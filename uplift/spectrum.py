@@ -131,7 +131,7 @@ def checked_emission(emission: npt.ArrayLike, observer: Observer, *, place: str 
     if values.shape != observer.wavelengths_nm.shape:
         raise UpliftError(
             f"{place}: shape {values.shape}, expected one value for each of the observer's "
-            f"{observer.wavelengths_nm.size} wavelengths; resample it first"
+            f"{observer.wavelengths_nm.size} wavelengths; resample it first: illuminants.measured_emission(wavelengths_nm, power, observer)"
         )
     if not np.isfinite(values).all() or values.min() < 0:
         worst = observer.wavelengths_nm[int(np.argmin(np.where(np.isfinite(values), values, -np.inf)))]
@@ -202,10 +202,45 @@ def rgb_space(name: str, *, observer: Observer | None = None) -> RGBSpace:
     return _rgb_space(name, observer if observer is not None else _observer(380.0, 780.0, 5.0, CIE_1931_2))
 
 
+#: What the spaces are also called, in small letters without signs.
+_ALIASES = {
+    "rec2020": "ITU-R BT.2020",
+    "bt2020": "ITU-R BT.2020",
+    "rec709": "sRGB",
+    "bt709": "sRGB",
+    "p3": "P3-D65",
+    "displayp3": "P3-D65",
+    "ap0": "ACES2065-1",
+    "aces": "ACES2065-1",
+    "ap1": "ACEScg",
+    "widegamut": "Adobe Wide Gamut RGB",
+    "widegamutrgb": "Adobe Wide Gamut RGB",
+}
+
+
+def _meant(name: str) -> str | None:
+    """Return the space that a misspelt name most likely means; None if none is near."""
+    import difflib
+
+    def plain(text: str) -> str:
+        return "".join(letter for letter in text.casefold() if letter.isalnum())
+
+    names = {plain(space): space for space in _SPACES} | _ALIASES
+    asked = plain(name)
+    for word in ("linear", "scene"):  # as in "Linear Rec.2020"
+        asked = asked.removeprefix(word)
+    near = difflib.get_close_matches(asked, names, n=1, cutoff=0.75)
+    return names[near[0]] if near else None
+
+
 @cache
 def _rgb_space(name: str, observer: Observer) -> RGBSpace:
     if name not in _SPACES:
-        raise UpliftError(f"colour space {name!r} is unknown; expected one of {', '.join(_SPACES)}")
+        near = _meant(name)
+        raise UpliftError(
+            f"colour space {name!r} is unknown; {f'did you mean {near!r}? Expected' if near else 'expected'} one of "
+            f"{', '.join(_SPACES)}"
+        )
     primaries_xy, white = _SPACES[name]
     if isinstance(white, str):
         white_xyz = xyz_of(illuminant(white, observer), observer)

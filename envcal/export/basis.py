@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from envcal import atomic, exr, provenance
-from envcal.export.opened import Opened, bands, kelvin, open_uplift, undeclared
+from envcal.export.opened import Opened, bands, guesses, kelvin, open_uplift, refuse_overwriting, undeclared
 from envcal.export.pbrt import spd
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
@@ -30,6 +30,8 @@ Float32 = npt.NDArray[np.float32]
 #: What Mitsuba divides the CIE's D65, 100 at 560 nm, by: its luminance is then that of 1 in RGB.
 _D65_NORM = 98.99741751876255
 _FINE = np.arange(360.0, 831.0, 1.0)
+#: What it means for the README that the lamps are not known.
+GUESSED = "The passes render these guesses exactly; what they light looks as under smooth lamps, not as in the place."
 
 
 def export_basis(source: Path, folder: Path, *, progress: Progress = silent) -> Outcome:
@@ -38,6 +40,7 @@ def export_basis(source: Path, folder: Path, *, progress: Progress = silent) -> 
     opened = open_uplift(source)
     coefficients, scale, cluster = _whole(opened)
     used = [int(k) for k in np.unique(cluster[scale > 0])]
+    refuse_overwriting(source, folder, [*(f"light{k}.exr" for k in used), "blank.exr"])
     lights: list[dict[str, Any]] = []
     for number, k in enumerate(used):
         nodes = native_nodes(opened, coefficients, np.where(cluster == k, scale, np.float32(0)), k)
@@ -53,12 +56,14 @@ def export_basis(source: Path, folder: Path, *, progress: Progress = silent) -> 
             atomic.write_text(folder / f"{axis}_{name}.spd", spd(list(_FINE), list(values)))
         lights.append({"name": name, "type": about.type, "cct": about.cct, "source": about.source})
         progress(number + 1, len(used))
-    blank = np.zeros((4, 8), np.float32)
+    # As large as the maps: scalar variants of Mitsuba replace data only by data of the same shape.
+    height, width = opened.size
+    blank = np.zeros((2 * height + 1, width), np.float32)
     exr.write(folder / "blank.exr", dict.fromkeys("RGB", blank), attributes=provenance.colour_space("sRGB"))
     atomic.write_json(folder / "lights.json", lights)
     atomic.write_text(folder / "passes.py", SCRIPT)
-    atomic.write_text(folder / "README.md", _readme(source.name, lights, opened.unit))
-    height, width = opened.size
+    atomic.write_text(folder / "example.xml", EXAMPLE)
+    atomic.write_text(folder / "README.md", _readme(source.name, lights, opened.unit, guesses(opened.about, GUESSED)))
     figures = {"lights": lights, "rows": 2 * height + 1, "columns": width}
     return Outcome(f"{len(lights)} passes with maps of {width}×{2 * height + 1}", figures, undeclared(opened.about))
 
@@ -146,12 +151,48 @@ def responses(opened: Opened, k: int) -> npt.NDArray[np.float64]:
     return np.asarray(seen * emission / d65_of_mitsuba())
 
 
+#: The scene of README.md, also written as example.xml.
+EXAMPLE = """<scene version="3.0.0">
+    <default name="basis" value="."/>
+    <default name="light" value="light0"/>
+
+    <integrator type="path"/>
+
+    <emitter type="envmap">
+        <string name="filename" value="$basis/blank.exr"/>
+        <!-- Y is up; the middle of the map stands towards +Z, and so turned towards -Z, where the camera looks. -->
+        <transform name="to_world"><rotate y="1" angle="180"/></transform>
+    </emitter>
+
+    <sensor type="perspective">
+        <float name="fov" value="40"/>
+        <transform name="to_world"><lookat origin="0, 1.5, 6" target="0, 1, 0" up="0, 1, 0"/></transform>
+        <film type="specfilm">
+            <integer name="width" value="960"/>
+            <integer name="height" value="540"/>
+            <spectrum name="X" filename="$basis/X_$light.spd"/>
+            <spectrum name="Y" filename="$basis/Y_$light.spd"/>
+            <spectrum name="Z" filename="$basis/Z_$light.spd"/>
+        </film>
+        <sampler type="independent"/>
+    </sensor>
+
+    <shape type="sphere">
+        <point name="center" x="0" y="1" z="0"/>
+        <float name="radius" value="1"/>
+        <bsdf type="diffuse"><spectrum name="reflectance" value="0.5"/></bsdf>
+    </shape>
+</scene>
+"""
+
 SCRIPT = '''"""Render a scene under the uplift's lights with Mitsuba's own emitter, a pass for each light.
 
     python passes.py SCENE.xml -o OUT.exr [--spp 256] [--variant llvm_ad_spectral]
 
 SCENE.xml has, as README.md beside this file shows, an envmap of `$basis/blank.exr` and a specfilm with the responses
-`$basis/X_$light.spd` and so on. OUT.exr is linear sRGB.
+`$basis/X_$light.spd` and so on; example.xml is a whole scene. OUT.exr is linear sRGB. The samples are those of each
+pass, so the picture costs samples x passes. llvm_* variants need LLVM's library (Debian: libllvm19, not 15 or 16; or
+name one in DRJIT_LIBLLVM_PATH); scalar_spectral needs none and is slow.
 """
 
 import argparse
@@ -169,19 +210,33 @@ FOLDER = Path(__file__).resolve().parent
 
 def put_light(scene, name):
     """Replace the data of the scene's envmap by the coefficients of a light."""
-    params = mi.traverse(scene)
-    keys = [key for key in params.keys() if key == "data" or key.endswith(".data")]
-    keys = [key for key in keys if len(params[key].shape) == 3 and params[key].shape[2] == 4 and params[key].shape[0] == 4]
-    if len(keys) != 1:
-        raise SystemExit(f"expected one envmap of blank.exr in the scene; found {keys}")
     image = np.array(mi.Bitmap(str(FOLDER / f"{name}.exr")), np.float32)
     if image.shape[2] != 4:
         raise SystemExit(f"{name}.exr: expected the channels c0, c1, c2, scale")
     # Mitsuba repeats columns at the seam: one at the right, or, since 3.6, one on either side.
     left, right = (image[:, -1:], image[:, :1])
-    padded = [left, image, right] if params[keys[0]].shape[1] == 10 else [image, right]
-    params[keys[0]] = mi.TensorXf(np.ascontiguousarray(np.concatenate(padded, axis=1)))
+    padded = {p.shape: p for p in (np.concatenate(q, axis=1) for q in ([left, image, right], [image, right]))}
+    params = mi.traverse(scene)
+    keys = [key for key in params.keys() if key == "data" or key.endswith(".data")]
+    keys = [key for key in keys if tuple(params[key].shape) in padded]
+    if len(keys) != 1:
+        raise SystemExit(f"expected one envmap of blank.exr in the scene; found {keys}")
+    params[keys[0]] = mi.TensorXf(np.ascontiguousarray(padded[tuple(params[keys[0]].shape)]))
     params.update()
+
+
+def load(scene_file, name, parameters):
+    """Return the scene of one pass; a scene that does not ask for its light is refused."""
+    try:
+        return mi.load_file(str(scene_file), basis=FOLDER.as_posix(), light=name, **parameters)
+    except Exception as error:
+        if "unused parameter" not in str(error).lower():
+            raise
+        raise SystemExit(
+            f"{scene_file}: does not use both $basis and $light, so no light of the map would be in the picture. Give the scene an "
+            "envmap of $basis/blank.exr and a specfilm with the spectra $basis/X_$light.spd, $basis/Y_$light.spd and "
+            f"$basis/Z_$light.spd, as README.md and example.xml beside {Path(__file__).name} show."
+        ) from None
 
 
 def render(scene_file, spp, per_pass=16, seed=0, **parameters):
@@ -189,7 +244,7 @@ def render(scene_file, spp, per_pass=16, seed=0, **parameters):
     total = 0.0
     for light in json.loads((FOLDER / "lights.json").read_text(encoding="utf-8")):
         name = light["name"]
-        scene = mi.load_file(str(scene_file), basis=FOLDER.as_posix(), light=name, **parameters)
+        scene = load(scene_file, name, parameters)
         put_light(scene, name)
         count = max(1, round(spp / per_pass))
         for k in range(count):
@@ -206,39 +261,40 @@ if __name__ == "__main__":
     parser.add_argument("--spp", type=int, default=256)
     parser.add_argument("--variant", default="llvm_ad_spectral")
     chosen = parser.parse_args()
+    if chosen.variant not in mi.variants() or "spectral" not in chosen.variant:
+        spectral = ", ".join(variant for variant in mi.variants() if "spectral" in variant)
+        parser.error(f"--variant {chosen.variant}: expected a spectral one of this Mitsuba: {spectral}")
     mi.set_variant(chosen.variant)
     mi.Bitmap(render(chosen.scene, chosen.spp)).write(chosen.output)
 '''
 
 
-def _readme(source: str, lights: list[dict[str, Any]], unit: Unit | None) -> str:
+def _readme(source: str, lights: list[dict[str, Any]], unit: Unit | None, guessed: str) -> str:
     rows = "\n".join(
         f"| `{light['name']}` | {light['type']} | {kelvin(light['cct'])} | {light['source']} |" for light in lights
     )
     return f"""# {source} for Mitsuba 3 without a plugin
 
 For render farms that allow scripts but no plugins. Each light of the map is a pass with Mitsuba's own `envmap`; the sum of the
-passes is the picture. `python passes.py scene.xml -o picture.exr` does all of them and needs Mitsuba and numpy only.
+passes is the picture. `python passes.py SCENE.xml -o picture.exr` does all of them and needs Mitsuba and numpy only.
 
 | pass | type | CCT | spectrum |
 |---|---|---|---|
 {rows}
-
-In the scene, the environment and the film of the sensor read
+{guessed}
+A whole scene, `example.xml` in this folder, to start from:
 
 ```xml
-<emitter type="envmap">
-    <string name="filename" value="$basis/blank.exr"/>
-</emitter>
+{EXAMPLE}```
 
-<film type="specfilm">
-    <integer name="width" value="960"/>
-    <integer name="height" value="540"/>
-    <spectrum name="X" filename="$basis/X_$light.spd"/>
-    <spectrum name="Y" filename="$basis/Y_$light.spd"/>
-    <spectrum name="Z" filename="$basis/Z_$light.spd"/>
-</film>
-```
+Of it, `<emitter>` and `<film>` have to be so; the rest is yours. Then
+
+    python passes.py example.xml -o picture.exr --spp 256
+
+renders it. `--variant` (default `llvm_ad_spectral`) is a spectral variant of Mitsuba. The `llvm_*` ones need LLVM's shared library (Debian and
+Ubuntu: `apt install libllvm19`; `DRJIT_LIBLLVM_PATH` names another one; not 15 or 16, which abort while rendering); `cuda_ad_spectral` needs
+an NVIDIA card, `scalar_spectral` nothing, and is some two hundred times slower. `--spp` is of each pass: the picture costs samples × passes, here
+{len(lights)} times as much as one render of that many samples.
 
 `passes.py` fills in `$basis` (the folder it stands in) and `$light` (`light0`, …) for each pass, so write them as they stand here.
 `blank.exr` is black: `passes.py` puts a light's data in its place, and without it nothing is lit. Nothing else in the scene shines;

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,11 +72,37 @@ class Band:
 
 
 def open_uplift(path: Path) -> Opened:
-    """Read what an uplift file says of itself; an `EnvcalError` if it is none."""
+    """Read what an uplift file says of itself; an `EnvcalError` if it is none, or if there is no light in it."""
     header, about = read_about(path)
     grid = about.wavelengths_nm
     seen = observer(grid[0], grid[-1], (grid[-1] - grid[0]) / (len(grid) - 1), about.observer)
+    # The first rows of most maps shine, so this ends at once.
+    if not any((planes["scale"] > 0).any() for _, planes in exr.bands(path, ["scale"], rows=64)):
+        raise EnvcalError(
+            f"{path}: there is no light in it: no pixel has radiance, so nothing would be lit. Look at the map it was made of: "
+            f"black, or without data, everywhere?"
+        )
     return Opened(path, header, about, seen, rgb_space(about.space, observer=seen))
+
+
+def guesses(about: About, consequence: str) -> str:
+    """Return a paragraph for a README, with a blank line before it, where the kind of no light is known; else nothing."""
+    if not undeclared(about):
+        return ""
+    return f"""
+**The kind of no light of this map is known**: all its spectra are smooth guesses. {consequence} If you know the lamps, declare
+them (`envcal uplift MAP --lights lights.yaml`, or `cluster: lights` in pipeline.yaml) and export again.
+"""
+
+
+def refuse_overwriting(source: Path, folder: Path, names: Iterable[str]) -> None:
+    """Refuse a folder in which a file of one of these names is the uplift file itself, also by way of links."""
+    for name in names:
+        out = folder / name
+        if out.exists() and out.samefile(source):
+            raise EnvcalError(
+                f"{source}: the output {out} is the input, and would overwrite it. Give another folder to -o."
+            )
 
 
 def kelvin(cct: float | None) -> str:

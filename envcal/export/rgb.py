@@ -7,13 +7,24 @@ from pathlib import Path
 import numpy as np
 
 from envcal import atomic, exr, provenance
-from envcal.export.opened import LARGEST_HALF, bands, conversion, open_uplift
+from envcal.export.opened import LARGEST_HALF, bands, conversion, open_uplift, refuse_overwriting
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
 from uplift.spectrum import rgb_space
 
 #: The space whose triangle encloses the spectral locus; adapted from D65, a laser leaves it by half a per cent at most.
 WIDEST = "ACES2065-1"
+
+
+#: What the spaces are called in the OpenColorIO configurations: of ACES 1.0 to 1.2, and from ACES 1.3 on.
+NUKE = {
+    "ACEScg": "`ACES - ACEScg` (`ACEScg` in newer configurations)",
+    "ACES2065-1": "`ACES - ACES2065-1` (`ACES2065-1` in newer configurations)",
+    "sRGB": "`Utility - Linear - sRGB` (`Linear Rec.709 (sRGB)` in newer configurations; `linear` in nuke-default)",
+    "ITU-R BT.2020": "`Utility - Linear - Rec.2020` (`Linear Rec.2020` in newer configurations)",
+    "P3-D65": "`Utility - Linear - P3-D65` (`Linear P3-D65` in newer configurations)",
+    "Adobe Wide Gamut RGB": "`Utility - Linear - Adobe Wide Gamut RGB` (newer configurations have none: export ACEScg)",
+}
 
 
 def file_name(space: str) -> str:
@@ -35,6 +46,7 @@ def export_rgb(
     target = rgb_space(space, observer=opened.observer)
     matrix = conversion(opened.space, target)
     out = folder / file_name(space)
+    refuse_overwriting(source, folder, [out.name])
     attributes = {
         **provenance.attributes(
             "export", settings={"to": "rgb", "space": space, "half": half}, inputs=[source], unit=opened.unit
@@ -113,6 +125,8 @@ width to the right of the middle is at the right hand (+X), and both edges are b
 where the middle comes out elsewhere, turn the light about the vertical.
 
 **Brightness.** {_brightness(figures["unit"])}
+
+**Nuke.** Read → input transform {NUKE[str(figures["space"])]}, no further conversion.
 
 White stays white: between spaces of different white points ({source} has D65; ACES spaces have ACES white, about D60) the
 colours are adapted by Bradford's method.

@@ -129,6 +129,7 @@ def holder_class(V: Any) -> type[Any]:
             # All that can be refused is refused first: an object that was half made would stay in the renderer's
             # registry as long as somebody, as a notebook does, keeps the error, and be asked with the others.
             turn, sphere = V.Transform4f(geometry.rotation(props)), geometry.given_sphere(props)
+            scale = geometry.given_scale(V, props)
             self.filename = ""
             if spectral is None and rgb is None:
                 spectral, rgb = self._read(props)
@@ -138,7 +139,7 @@ def holder_class(V: Any) -> type[Any]:
                 raise EnvcalError("the RGB and mono variants need `rgb`, the map in linear sRGB.")
             super().__init__(props)
             self.m_flags = mi.EmitterFlags.Infinite | mi.EmitterFlags.SpatiallyVarying
-            self.scale = V.Float(props.get("scale", 1.0))
+            self.scale = scale
             self.to_world, self._sphere = turn, sphere
             self.to_local = self.to_world.inverse()
             self.dist: Any = None

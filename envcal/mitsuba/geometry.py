@@ -48,6 +48,19 @@ def rotation(props: Any) -> Any:
     return mi.ScalarTransform4f(whole.tolist())
 
 
+def given_scale(V: Any, props: Any) -> Any:
+    """Return `scale`; what is no number from 0 is refused."""
+    given = props.get("scale", 1.0)
+    try:
+        scale = V.Float(given)
+    except (TypeError, ValueError):
+        scale = V.Float(-1.0)
+    values = np.ravel(np.array(scale, float))
+    if values.size != 1 or not 0 <= values[0] < np.inf:
+        raise EnvcalError(f"scale of an `envcal` emitter is {given!r}; expected a number from 0, such as 1.0.")
+    return scale
+
+
 def given_sphere(props: Any) -> tuple[list[float], float] | None:
     """Return `center` and `radius` of the sphere around the scene, or None if none is given."""
     if "radius" not in props:

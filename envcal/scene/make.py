@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from envcal import atomic, exr, provenance
 from envcal.errors import EnvcalError
-from envcal.export.opened import Opened, bands, conversion, open_uplift, undeclared
+from envcal.export.opened import Opened, bands, conversion, open_uplift, refuse_overwriting, undeclared
 from envcal.reporter import Progress, silent
 from envcal.runner import Outcome
 from envcal.scene import description
@@ -21,6 +21,8 @@ SIZE, SPP = (960, 540), 256
 #: The RGB map of the comparison is reduced to this width at most.
 _WIDEST = 2048
 FIGURES = "figures.json"
+#: Maps that are written into the folder, and must not fall on the uplift file.
+WRITTEN = ("map_rgb.exr", "uplift.exr", "scaled.exr")
 
 
 def make_scene(
@@ -40,6 +42,9 @@ def make_scene(
     """
     atomic.check_folder(folder)
     opened = open_uplift(source)
+    refuse_overwriting(source, folder, WRITTEN)
+    # Before anything is written: a variant that is refused leaves no half a scene.
+    used, remarks = _variant(variant) if render else (None, [])
     width, height = size or SIZE
     _write_rgb_map(opened, folder / "map_rgb.exr")
     atomic.write_text(folder / "scene.xml", description.scene_xml(width=width, height=height, spp=16))
@@ -48,20 +53,11 @@ def make_scene(
     atomic.write_text(folder / "scaled.xml", description.scaled_xml("map_rgb.exr"))
     atomic.write_text(folder / "render.py", description.SCRIPT)
     where = f"uplift.xml finds {source.resolve()} by the name {named}: move both together, or edit that line"
-    not_rendered = f"scene.xml and render.py; not rendered; {where}"
     hint = undeclared(opened.about)
-    if not render:
-        return Outcome(not_rendered, {"rendered": False}, hint)
-    from envcal.scene.render import SCALAR_SIZE, SCALAR_SPP, set_variant
+    if used is None:
+        return Outcome(f"scene.xml and render.py; not rendered; {where}", {"rendered": False}, [*remarks, *hint])
+    from envcal.scene.render import SCALAR_SIZE, SCALAR_SPP
 
-    try:
-        used, remark = set_variant(variant)
-    except EnvcalError as error:
-        if variant != "auto":
-            raise
-        return Outcome(not_rendered, {"rendered": False}, [str(error), *hint])
-    if "spectral" not in used:
-        raise EnvcalError(f"{used}: has no spectra, and the comparison is of spectra. Take a *_spectral variant.")
     if used.startswith("scalar"):
         size, spp = size or SCALAR_SIZE, spp or SCALAR_SPP
     figures = _render(folder, size or SIZE, spp or SPP, used, atomic.digest(source), progress)
@@ -70,7 +66,22 @@ def make_scene(
         f"rendered {figures['width']}×{figures['height']}; spectra against RGB: ΔE2000 {difference['mean']:.2f} in the mean "
         f"(noise {difference['noise']:.2f}); {where}"
     )
-    return Outcome(summary, {"rendered": True, **figures}, [*([remark] if remark else []), *hint])
+    return Outcome(summary, {"rendered": True, **figures}, [*remarks, *hint])
+
+
+def _variant(asked: str) -> tuple[str | None, list[str]]:
+    """Set the Mitsuba variant; return its name and what is to be told. None: "auto" was asked and there is no Mitsuba."""
+    from envcal.scene.render import set_variant
+
+    try:
+        used, remark = set_variant(asked)
+    except EnvcalError as error:
+        if asked != "auto":
+            raise
+        return None, [str(error)]
+    if "spectral" not in used:
+        raise EnvcalError(f"{used}: has no spectra, and the comparison is of spectra. Take a *_spectral variant.")
+    return used, [remark] if remark else []
 
 
 def _relative(source: Path, folder: Path) -> str:

@@ -22,6 +22,8 @@ _SCALES = (1.0, 2.0, 5.0, 10.0, 20.0)
 #: A colour is outside of sRGB if a component is below minus this share of the largest; noise alone stays above it.
 _OUTSIDE = 0.01
 _COLOURS = "magma"
+#: What is counted apart is hatched: the width of a stripe in pixels, and the two greys.
+_STRIPE, _HATCH = 4, (72, 104)
 #: From this width on, in pixels, the colour bar has six figures rather than two.
 _WIDE = 300
 _INK, _PAPER, _MUTED = "#e6e6e6", "#151515", "#a3a3a3"
@@ -32,7 +34,8 @@ class Difference:
     """ΔE2000 [height, width] between two renders, its figures, and what noise alone makes of the mean.
 
     `mean`, `p95`, `largest` and `noise` leave the background out where its colour is outside of sRGB; `outside` is the
-    share of the picture that this is, `outside_mean` its own mean ΔE2000 (0 where there is none).
+    share of the picture that this is, `outside_mean` its own mean ΔE2000 (0 where there is none), `apart` [height, width]
+    where it is.
     """
 
     delta_e: Float64
@@ -42,6 +45,7 @@ class Difference:
     noise: float
     outside: float = 0.0
     outside_mean: float = 0.0
+    apart: npt.NDArray[np.bool_] | None = None
 
 
 def compare(reference: Rendered, other: Rendered, *, gain: float) -> Difference:
@@ -70,6 +74,7 @@ def compare(reference: Rendered, other: Rendered, *, gain: float) -> Difference:
         float(max((sum(halves) / 2) ** 2 - mean**2, 0.0) ** 0.5),
         float(apart.mean()),
         float(delta_e[apart].mean()) if apart.any() else 0.0,
+        apart,
     )
 
 
@@ -113,9 +118,22 @@ def write_png(path: Path, picture: npt.NDArray[np.uint8]) -> None:
 
 
 def scale_end(difference: Difference) -> float:
-    """The end of the colour bar: the first of 1, 2, 5, 10, 20 that 99 % of the pixels do not exceed."""
-    high = float(np.percentile(difference.delta_e, 99))
+    """The end of the colour bar: the first of 1, 2, 5, 10, 20 that 99 % of the pixels that count do not exceed."""
+    high = float(np.percentile(_counted(difference), 99))
     return next((end for end in _SCALES if high <= end), _SCALES[-1])
+
+
+def _counted(difference: Difference) -> Float64:
+    """The ΔE2000 [n] of the pixels that are not counted apart; all of them if that is the whole picture."""
+    apart = difference.apart
+    return difference.delta_e.ravel() if apart is None or apart.all() else difference.delta_e[~apart]
+
+
+def hatched(picture: npt.NDArray[np.uint8], apart: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
+    """Return the picture [height, width, 3] with grey stripes in the place of what is counted apart: no colour of the scale."""
+    y, x = np.indices(apart.shape)
+    stripes = np.where((x + y) // _STRIPE % 2 == 0, *_HATCH).astype(np.uint8)
+    return np.where(apart[..., np.newaxis], stripes[..., np.newaxis], picture)
 
 
 def field(delta_e: Float64, end: float) -> npt.NDArray[np.uint8]:
@@ -130,6 +148,8 @@ def difference_picture(difference: Difference) -> npt.NDArray[np.uint8]:
     """The map of ΔE2000 as a picture of the same width, with a colour bar and, wrapped to the width, a legend below."""
     end = scale_end(difference)
     picture = field(difference.delta_e, end)
+    if difference.apart is not None:
+        picture = hatched(picture, difference.apart)
     return np.concatenate([picture, _legend(difference, end, picture.shape[1])], axis=0)
 
 
@@ -141,7 +161,7 @@ def caption(difference: Difference) -> list[str]:
     ]
     if difference.outside > 0:
         lines.append(
-            f"counted apart: background outside of sRGB, {100 * difference.outside:.1f} % of the picture, mean "
+            f"counted apart, hatched: background outside of sRGB, {100 * difference.outside:.1f} % of the picture, mean "
             f"{difference.outside_mean:.2f}"
         )
     return lines
@@ -171,7 +191,7 @@ def _legend(difference: Difference, end: float, width: int) -> npt.NDArray[np.ui
         axes.set_yticks([])
         ticks = np.linspace(0, end, 6 if width >= _WIDE else 2)
         axes.set_xticks(ticks)
-        more = "+" if difference.delta_e.max() > end else ""
+        more = "+" if _counted(difference).max() > end else ""
         labels = axes.set_xticklabels([f"{v:g}{more if v == end else ''}" for v in ticks])
         # The outer ones stand within the bar, so that none is cut at the picture's edge.
         labels[0].set_horizontalalignment("left")

@@ -26,10 +26,12 @@ def small_uplift(
     peak: float = 1.0,
     saturated: bool = False,
     smooth: bool = False,
+    black: bool = False,
 ) -> tuple[Path, np.ndarray]:
     """Write `uplift.exr` and return its path and the colours [H, 2H, 3] it was made of.
 
-    Lamps share the columns out among themselves; `smooth` gives each of them one colour and a soft gradient. The first pixel is black, the second as bright as `peak`.
+    Lamps share the columns out among themselves; `smooth` gives each of them one colour and a soft gradient. The first pixel is black,
+    the second as bright as `peak`; with `black` all of them are.
     """
     width = 2 * height
     space = rgb_space(SPACE, observer=EYES)
@@ -49,6 +51,8 @@ def small_uplift(
     rgb[0, 0], rgb[0, 1] = 0.0, peak * colours[0].sum(axis=1)
     if saturated:
         rgb[1, :] = [0.02, 0.9, 0.05]
+    if black:
+        rgb[:] = 0.0
     image = np.ascontiguousarray(rgb, dtype=np.float32)
     attributes = {**provenance.colour_space(SPACE), "envmap": True}
     exr.write(folder / "map.exr", exr.rgb_planes(image), attributes=attributes)

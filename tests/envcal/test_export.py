@@ -2,6 +2,10 @@
 
 import json
 import re
+import runpy
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +23,7 @@ from envcal.export.rgb import export_rgb
 from envcal.scene.make import make_scene
 from tests.envcal.small_uplift import EYES, SPACE, small_uplift
 from uplift.radiance import spectra_of
-from uplift.spectrum import observer, rgb_space
+from uplift.spectrum import RGB_SPACES, observer, rgb_space
 
 #: float32 in the file, twice rounded.
 FLOAT32 = 2e-6
@@ -172,6 +176,18 @@ def test_the_readme_of_the_rgb_map_says_where_it_looks_and_what_1_is(made, tmp_p
     assert "straight ahead (−Z)" in text and "at the right hand (+X)" in text and "No unit such as cd/m²" in text
 
 
+@pytest.mark.parametrize("space", RGB_SPACES)
+def test_the_readme_names_nukes_input_transform_of_the_space_that_was_written(made, tmp_path, space):
+    export_rgb(made[0], tmp_path, space=space)
+    (line,) = re.findall(r"\*\*Nuke\.\*\* .*", (tmp_path / "README.md").read_text(encoding="utf-8"))
+    # The configurations call the spaces nearly as they are called here.
+    named = {"sRGB": "Utility - Linear - sRGB", "ITU-R BT.2020": "Rec.2020"}.get(space, space)
+    assert f"{named}`" in line and "no further conversion" in line
+    others = {"ACEScg", "ACES2065-1", "P3-D65", "Rec.2020", "Linear - sRGB"} - {named}
+    if space != "Adobe Wide Gamut RGB":  # which newer configurations do not have: ACEScg is advised
+        assert not any(other in line for other in others if other not in named)
+
+
 # ---- pbrt ----
 
 
@@ -191,6 +207,72 @@ def test_pbrt_gets_a_square_map_a_light_in_a_space_that_it_knows(made, tmp_path)
     assert abs(outcome.figures["energy_ratio"] - 1) < 0.02
     assert f"{outcome.figures['relight_delta_e']['mean']:.3f}" in (tmp_path / "README.md").read_text(encoding="utf-8")
     assert "pbrt-v4 makes its own spectra" in outcome.warnings[0]
+
+
+def place_in_pbrt(d):
+    """The square's (u, v) of a direction by the formulas of pbrt-v4 (EqualAreaSphereToSquare), one direction at a time."""
+    x, y, z = (abs(float(v)) for v in d)
+    radius = np.sqrt(max(1.0 - z, 0.0))
+    small, large = min(x, y), max(x, y)
+    turn = np.arctan(small / large) * 2 / np.pi if large > 0 else 0.0
+    turn = 1.0 - turn if x < y else turn
+    v, u = turn * radius, radius - turn * radius
+    if d[2] < 0:
+        u, v = 1.0 - v, 1.0 - u
+    return (np.copysign(u, d[0]) + 1) / 2, (np.copysign(v, d[1]) + 1) / 2
+
+
+#: Up, whether the scene is mirrored by Scale -1 1 1, where the camera has to look to see the middle of the map.
+SCENES = [
+    ("+z", False, (-1, 0, 0)),
+    ("+y", False, (0, 0, 1)),
+    ("+y", True, (0, 0, -1)),
+    ("+z", True, (-1, 0, 0)),
+]
+
+
+@pytest.mark.parametrize(("up", "mirrored", "ahead"), SCENES)
+def test_a_camera_of_pbrt_sees_the_map_upright_and_not_mirrored_by_the_transform_for_its_scene(
+    made, tmp_path, up, mirrored, ahead
+):
+    """Red right of the middle, blue left of it, green above it; looked up as pbrt does, where its camera has these places."""
+    export_pbrt(made[0], tmp_path)
+    text = (tmp_path / "environment.pbrt").read_text(encoding="utf-8")
+    kind = "mirrored" if mirrored else "plain"
+    found = re.findall(rf"    # ConcatTransform \[ (.*?) \]  # up \{up}, {kind}", text)
+    if (up, mirrored) == ("+z", False):
+        assert not found and not re.search(r"^ *ConcatTransform", text, re.MULTILINE)  # as written
+        matrix = np.eye(3)
+    else:
+        # pbrt's files hold a matrix column by column.
+        matrix = np.array([float(v) for v in found[0].split()]).reshape(4, 4).T[:3, :3]
+    assert np.linalg.det(matrix) == (-1 if mirrored else 1)
+    height, width = 32, 64
+    latlong = np.zeros((height, width, 3), np.float32)
+    latlong[:, 46:51, 0] = latlong[:, 13:18, 2] = latlong[:2, :, 1] = 1  # u = 3/4, u = 1/4, the zenith
+    latlong[14:18, 30:34] = 1  # the middle
+    square = resampled(latlong, np.zeros((height, width), np.uint8), 0, side_of(width))
+    zenith = np.array({"+y": (0, 1, 0), "+z": (0, 0, 1)}[up], float)
+    # LookAt takes up × forward for the right of the picture; the scale before it turns that into the left.
+    right = np.cross(zenith, ahead) * (-1 if mirrored else 1)
+
+    def seen(direction):
+        u, v = place_in_pbrt(np.linalg.solve(matrix, direction))
+        return tuple(
+            np.round(square[min(int(v * len(square)), len(square) - 1), min(int(u * len(square)), len(square) - 1)], 1)
+        )
+
+    assert seen(np.array(ahead)) == (1, 1, 1)
+    assert seen(right) == (1, 0, 0) and seen(-right) == (0, 0, 1)
+    assert seen(zenith)[1] > 0.9 and seen(-zenith)[1] == 0
+
+
+def test_every_page_on_pbrts_up_says_when_a_scene_is_mirrored(made, tmp_path):
+    export_pbrt(made[0], tmp_path)
+    pages = [tmp_path / "environment.pbrt", tmp_path / "README.md", Path(__file__).parents[2] / "docs" / "export.md"]
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        assert "`Scale -1 1 1`" in text and "mirrored" in text and "plain" in text
 
 
 def test_the_spectra_beside_the_maps_are_the_lamps(made, tmp_path):
@@ -278,6 +360,78 @@ def test_the_folder_for_passes_is_complete(made, tmp_path):
     assert "`passes.py` fills in `$basis`" in (tmp_path / "README.md").read_text(encoding="utf-8")
 
 
+def test_the_pages_of_pbrt_and_basis_say_that_undeclared_lights_are_guesses(made, tmp_path, monkeypatch):
+    told = re.compile(r"kind of no light of this map is known\*\*.*declare\s+them", re.DOTALL)
+    for known in (True, False):
+        if not known:
+            monkeypatch.setattr("envcal.export.opened.undeclared", lambda _about: ["declare"])
+        for work in (export_pbrt, export_basis):
+            folder = tmp_path / f"{work.__name__}-{known}"
+            work(made[0], folder)
+            text = (folder / "README.md").read_text(encoding="utf-8")
+            assert bool(told.search(text)) is not known
+    text = (tmp_path / "export_pbrt-False" / "README.md").read_text(encoding="utf-8")
+    # Before the table of ΔE2000, which is what it is about.
+    assert text.index("both sides of the comparison below are guesses") < text.index("| ΔE2000 | |")
+
+
+def test_the_readme_of_pbrt_says_how_bright_a_lamp_by_hand_is(made, tmp_path):
+    figures = export_pbrt(made[0], tmp_path).figures
+    text = (tmp_path / "README.md").read_text(encoding="utf-8")
+    luminance = made[1].astype(float) @ rgb_space(SPACE, observer=EYES).luminance_weights
+    for k, light in enumerate(figures["lights"]):
+        assert light["brightest"] == pytest.approx(luminance[:, 8 * k : 8 * k + 8].max(), rel=STORED)
+        assert f"| {light['brightest']:.4g} |" in text
+    weights = re.search(r"([\d.]+) R \+ ([\d.]+) G \+ ([\d.]+) B", text).groups()
+    np.testing.assert_allclose(
+        [float(w) for w in weights], rgb_space(SPACE, observer=EYES).luminance_weights, atol=1e-4
+    )
+    assert '"float scale" [ Y ]' in text
+
+
+@pytest.fixture
+def passes(made, tmp_path):
+    """The script of an exported folder, in Mitsuba's scalar variant."""
+    mi = pytest.importorskip("mitsuba")
+    export_basis(made[0], tmp_path)
+    mi.set_variant("scalar_spectral")
+    return runpy.run_path(str(tmp_path / "passes.py"))
+
+
+def test_the_example_scene_takes_the_lights(passes, tmp_path):
+    assert (tmp_path / "example.xml").read_text(encoding="utf-8") in (tmp_path / "README.md").read_text(
+        encoding="utf-8"
+    )
+    for name in ("light0", "light1"):
+        scene = passes["load"](tmp_path / "example.xml", name, {})
+        passes["put_light"](scene, name)
+
+
+@pytest.mark.parametrize(
+    "used",
+    ["", "<!-- $basis -->", '<emitter type="envmap"><string name="filename" value="$basis/blank.exr"/></emitter>'],
+)
+def test_a_scene_that_does_not_ask_for_the_lights_is_told_what_to_write(passes, tmp_path, used):
+    scene = tmp_path / "mine.xml"
+    scene.write_text(f'<scene version="3.0.0"><integrator type="path"/>{used}</scene>', encoding="utf-8")
+    with pytest.raises(SystemExit, match=r"mine\.xml: does not use both \$basis and \$light.*example\.xml"):
+        passes["render"](scene, 4)
+
+
+def test_other_mistakes_of_a_scene_stay_mitsubas(passes, tmp_path):
+    (tmp_path / "mine.xml").write_text("<scene", encoding="utf-8")
+    with pytest.raises(RuntimeError):
+        passes["render"](tmp_path / "mine.xml", 4)
+
+
+def test_passes_want_a_spectral_variant(made, tmp_path):
+    pytest.importorskip("mitsuba")
+    export_basis(made[0], tmp_path)
+    command = [sys.executable, str(tmp_path / "passes.py"), "example.xml", "-o", "out.exr", "--variant", "scalar_rgb"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert done.returncode == 2 and "expected a spectral one of this Mitsuba: scalar_spectral" in done.stderr
+
+
 @pytest.mark.parametrize(("types", "hinted"), [(("smooth", "smooth"), True), (("smooth", "led"), False), ((), False)])
 def test_lights_are_asked_for_only_if_the_kind_of_none_is_known(made, types, hinted):
     about = open_uplift(made[0]).about
@@ -315,6 +469,27 @@ def test_a_file_that_is_no_uplift_is_refused(work, tmp_path):
     exr.write(tmp_path / "map.exr", dict.fromkeys("RGB", np.ones((4, 8), np.float32)), attributes={})
     with pytest.raises(EnvcalError, match="is not an uplift file"):
         work(tmp_path / "map.exr", tmp_path / "out")
+
+
+@pytest.mark.parametrize("work", [export_rgb, export_pbrt, export_basis, make_scene])
+def test_a_map_without_light_is_refused_and_no_lights_are_asked_for(tmp_path, work):
+    source, _ = small_uplift(tmp_path, black=True)
+    with pytest.raises(EnvcalError, match="there is no light in it") as error:
+        work(source, tmp_path / "out")
+    assert "declare" not in str(error.value) and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("work", "name"),
+    [(export_rgb, "environment_acescg.exr"), (export_pbrt, "light1.exr"), (export_basis, "light0.exr")],
+)
+def test_an_export_never_falls_on_the_uplift_file(made, tmp_path, work, name):
+    (tmp_path / "there").mkdir()
+    source = tmp_path / "there" / name
+    source.write_bytes(made[0].read_bytes())
+    with pytest.raises(EnvcalError, match="is the input, and would overwrite it"):
+        work(source, tmp_path / "there" / ".." / "there")
+    assert source.read_bytes() == made[0].read_bytes() and len(list(source.parent.iterdir())) == 1
 
 
 @pytest.mark.parametrize("work", [export_rgb, export_pbrt, export_basis, make_scene])

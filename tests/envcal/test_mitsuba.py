@@ -585,6 +585,41 @@ def test_a_transform_that_stretches_is_refused(llvm):
         emitter_of(some_map(), to_world=mi.ScalarTransform4f().scale([1, 2, 1]))
 
 
+@pytest.mark.parametrize("bad", ["a", -1.0, float("nan"), float("inf"), [1.0, 2.0, 3.0]])
+def test_a_scale_that_is_no_number_is_refused_by_its_name(spectral_variant, bad):
+    with pytest.raises(
+        (EnvcalError, RuntimeError), match=r"scale of an `envcal` emitter is .*; expected a number from 0"
+    ):
+        emitter_of(some_map(), scale=bad)
+
+
+#: As docs/mitsuba.md has them: up, middle of the map, to_world.
+TURNS = [
+    ((0, 1, 0), (0, 0, 1), lambda t: t),
+    ((0, 1, 0), (0, 0, -1), lambda t: t.rotate([0, 1, 0], 180)),
+    ((0, 0, 1), (0, -1, 0), lambda t: t.rotate([1, 0, 0], 90)),
+    ((0, 0, 1), (0, 1, 0), lambda t: t.rotate([0, 0, 1], 180).rotate([1, 0, 0], 90)),
+]
+
+
+@pytest.mark.parametrize(("up", "middle", "turn"), TURNS)
+def test_the_transforms_of_the_docs_put_the_middle_where_they_say(up, middle, turn):
+    """Red in the middle, green above, blue at the right hand of who looks at the middle."""
+    use("scalar_rgb")
+    picture = np.zeros((HEIGHT, WIDTH, 3), np.float32)
+    picture[HEIGHT // 2 - 2 : HEIGHT // 2 + 2, WIDTH // 2 - 2 : WIDTH // 2 + 2, 0] = 1
+    picture[:2, :, 1] = 1
+    picture[HEIGHT // 2 - 2 : HEIGHT // 2 + 2, 3 * WIDTH // 4 - 2 : 3 * WIDTH // 4 + 2, 2] = 1
+    emitter = em.emitter_from(rgb=picture, to_world=turn(mi.ScalarTransform4f()))
+
+    def seen(d):
+        si = mi.SurfaceInteraction3f()
+        si.wi = -mi.Vector3f(*(float(v) for v in d))
+        return np.array(emitter.eval(si)).round(3).tolist()
+
+    assert seen(middle) == [1, 0, 0] and seen(up) == [0, 1, 0] and seen(np.cross(middle, up)) == [0, 0, 1]
+
+
 def test_a_transform_that_scales_evenly_only_turns(llvm):
     turn = mi.ScalarTransform4f().rotate([0, 1, 0], 30)
     plain, scaled = (emitter_of(some_map(), to_world=t) for t in (turn, turn @ mi.ScalarTransform4f().scale(7.0)))

@@ -78,13 +78,30 @@ def test_without_mitsuba_the_scene_is_written_and_the_warning_says_what_to_insta
     assert (tmp_path / "scene.xml").is_file() and outcome.figures == {"rendered": False}
     assert "pip install" in outcome.warnings[0]
     with pytest.raises(EnvcalError, match="pip install"):
-        make_scene(made, tmp_path, variant="llvm_ad_spectral")
+        make_scene(made, tmp_path / "named", variant="llvm_ad_spectral")
+    assert not (tmp_path / "named").exists()
 
 
 def test_a_variant_without_spectra_is_refused(made, tmp_path, monkeypatch):
     monkeypatch.setattr("envcal.scene.render.set_variant", lambda asked: (asked, None))
     with pytest.raises(EnvcalError, match="has no spectra"):
-        make_scene(made, tmp_path, variant="llvm_ad_rgb")
+        make_scene(made, tmp_path / "scene", variant="llvm_ad_rgb")
+    assert not (tmp_path / "scene").exists()
+
+
+def test_a_render_never_falls_on_the_uplift_file(tmp_path):
+    source, _ = small_uplift(tmp_path)
+    before = source.read_bytes()
+    with pytest.raises(EnvcalError, match=r"the output .*uplift\.exr is the input"):
+        make_scene(source, tmp_path, render=False)
+    assert source.read_bytes() == before and not (tmp_path / "scene.xml").exists()
+
+
+def test_the_command_refuses_a_variant_that_there_is_not_before_it_writes(made, tmp_path):
+    pytest.importorskip("mitsuba")
+    done = CliRunner().invoke(main, ["mitsuba", str(made), "-o", str(tmp_path / "scene"), "--variant", "llvm_spectral"])
+    assert done.exit_code == 1 and "Mitsuba has no variant llvm_spectral" in done.output
+    assert not (tmp_path / "scene").exists()
 
 
 def test_native_rows_interpolate_to_what_middle_rows_do():
@@ -188,11 +205,26 @@ def test_background_that_srgb_cannot_show_is_counted_apart_and_things_are_not():
     assert found.largest > 2  # the things in the upper rows have such a colour, too, and are counted
 
 
+def test_what_is_counted_apart_is_hatched_in_grey_and_has_no_say_in_the_scale():
+    delta_e = np.full((60, 200), 1.5)
+    delta_e[:20] = 19.0
+    apart = delta_e > 10
+    shown = pictures.difference_picture(pictures.Difference(delta_e, 1.5, 1.5, 1.5, 0.1, 1 / 3, 19.0, apart))[:60]
+    above, below = shown[:20].astype(int), shown[20:60].astype(int)
+    assert (np.ptp(above, axis=2) == 0).all() and len(np.unique(above)) == 2  # two greys
+    assert (np.ptp(below, axis=2) > 50).all()  # colours of the scale, which ends at 2 and not at 20
+    end = pictures.scale_end(pictures.Difference(delta_e, 1.5, 1.5, 1.5, 0.1, 1 / 3, 19.0, apart))
+    assert end == 2.0 and "hatched" in " ".join(
+        pictures.caption(pictures.Difference(delta_e, 1, 1, 1, 0, 1 / 3, 19.0, apart))
+    )
+
+
 def test_a_picture_of_such_background_alone_is_still_measured():
     image = np.full((8, 8, 3), [-0.1, 0.5, 0.2])
     first = replace(rendered(image, 0.0, 1), background=np.ones((8, 8), bool))
     found = pictures.compare(first, rendered(np.maximum(image, 0), 0.0, 2), gain=1.0)
     assert found.outside == 1 and found.mean == found.outside_mean > 2
+    assert pictures.scale_end(found) >= found.mean  # all of it says how far the scale goes, as none else can
 
 
 # ---- the command ----

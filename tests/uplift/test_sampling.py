@@ -51,6 +51,28 @@ def test_any_shape_of_pixels_is_kept():
     assert got.shape == (5, 10, 4)
 
 
+@pytest.mark.parametrize("asked", [550.0, [550.0], [500.0, 550.0, 600.0]])
+def test_one_list_of_wavelengths_for_all_pixels_is_sent_to_the_function_for_it(asked):
+    with pytest.raises(UpliftError, match=r"For one list of wavelengths use radiance\.spectra_of"):
+        radiance_at(*pixels(), LIGHTS, np.asarray(asked), observer=EYES)
+    assert spectra_of(*pixels(), LIGHTS, asked, observer=EYES).shape == (50, np.size(asked))
+
+
+def test_a_single_pixel_takes_a_list_but_no_bare_number():
+    one = [each[0] for each in pixels()]
+    got = radiance_at(*one, LIGHTS, np.array([500.0, 550.0]), observer=EYES)
+    np.testing.assert_allclose(got, spectra_of(*one, LIGHTS, [500.0, 550.0], observer=EYES), rtol=ROUNDING)
+    with pytest.raises(UpliftError, match=r"wavelengths of shape \(\) for pixels of shape \(\)"):
+        radiance_at(*one, LIGHTS, np.array(550.0), observer=EYES)
+
+
+def test_emissions_of_another_grid_are_told_what_brings_them_to_the_observers():
+    with pytest.raises(UpliftError, match="measured_emission"):
+        radiance_at(*pixels(), LIGHTS[:, :9], np.full((50, 4), 500.0), observer=EYES)
+    with pytest.raises(UpliftError, match="measured_emission"):
+        spectra_of(*pixels(), LIGHTS[:, :9], [500.0], observer=EYES)
+
+
 def test_what_does_not_fit_together_is_refused():
     c, s, k = pixels()
     asked = np.full((50, 4), 500.0)

@@ -1,5 +1,7 @@
 """Truth: the tables of the CIE as colour-science publishes them, and identities of linear algebra."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -124,3 +126,36 @@ def test_unknown_names_and_wrong_lengths_are_refused():
         illuminant("D6500", observer())
     with pytest.raises(UpliftError, match="last axes"):
         xyz_of(np.ones((2, 80)), observer())
+
+
+@pytest.mark.parametrize(
+    ("asked", "meant"),
+    [
+        ("srgb", "sRGB"),
+        ("Rec2020", "ITU-R BT.2020"),
+        ("Rec.2020", "ITU-R BT.2020"),
+        ("BT.2020", "ITU-R BT.2020"),
+        ("linear Rec.709", "sRGB"),
+        ("Display P3", "P3-D65"),
+        ("acescg", "ACEScg"),
+        ("ACES 2065-1", "ACES2065-1"),
+        ("AdobeWideGamut", "Adobe Wide Gamut RGB"),
+    ],
+)
+def test_a_misspelt_space_is_told_the_one_that_is_meant(asked, meant):
+    with pytest.raises(
+        UpliftError, match=re.escape(f"did you mean {meant!r}? Expected one of {', '.join(RGB_SPACES)}")
+    ):
+        rgb_space(asked)
+
+
+def test_a_space_that_is_like_none_gets_no_guess():
+    with pytest.raises(UpliftError, match="'film' is unknown; expected one of"):
+        rgb_space("film")
+
+
+def test_an_emission_of_another_length_is_told_what_brings_it_to_the_grid():
+    with pytest.raises(
+        UpliftError, match=r"resample it first: illuminants\.measured_emission\(wavelengths_nm, power, observer\)"
+    ):
+        normalised(np.ones(31), observer())
