@@ -24,6 +24,7 @@ from envcal.cli.options import (
     set_option,
     space_option,
 )
+from envcal.cli.overwriting import refuse_own_input
 
 if TYPE_CHECKING:
     from envcal.config import DeclaredLight
@@ -44,6 +45,7 @@ def merge(frames: Sequence[Path], out: Path, overrides: Sequence[str], as_json: 
 
     settings = stage_settings(MergeSettings, "merge", overrides)
     refuse_unknown_names(settings, {out.stem: tuple(frames)})
+    refuse_own_input(out, [*frames, settings.dark_frame, settings.flat_field, settings.lens_database])
     with Reporter().progress("merge") as progress:
         outcome = work(frames, out, settings, progress=progress)
     finish(outcome, as_json=as_json, out=out)
@@ -84,9 +86,11 @@ def correct(
             "--chart, --space and --set belong to a new calibration; a profile brings its own matrix and space."
         )
     settings = stage_settings(CorrectSettings, "correct", overrides, chart=None if chart is None else _corners(chart))
+    profile_out = out.with_suffix(".profile.json")
+    refuse_own_input(out, [merged, profile, settings.patches], beside=[profile_out] if profile is None else [])
     if profile is None:
         found = calibrate_on_chart(merged, settings, space or SPACES[0])
-        found.write(out.with_suffix(".profile.json"))
+        found.write(profile_out)
     else:
         found = profiles.read(profile)
     outcome = work(merged, out, settings, found, applied=None if profile is None else str(profile))
@@ -150,9 +154,12 @@ def balance(
         lamp=None if lamp is None else {"rectangle": _rectangle(lamp)},
         camera=camera,
     )
+    profile_out = out.with_suffix(".profile.json")
+    read = [corrected, profile, settings.spectrum, None if camera is None else Path(camera)]
+    refuse_own_input(out, read, beside=[profile_out] if profile is None else [])
     if profile is None:
         found = calibrate_on_lamp(corrected, settings, absolute)
-        found.write(out.with_suffix(".profile.json"))
+        found.write(profile_out)
     else:
         found = profiles.read(profile)
     outcome = work(corrected, out, settings, found, applied=None if profile is None else str(profile))
@@ -186,6 +193,7 @@ def panorama(shots: Sequence[Path], out: Path, photometry: Sequence[str], as_jso
     absolute = stage_settings(PhotometrySettings, "photometry", photometry)
     if photometry and absolute.of_map is None:
         raise click.UsageError("what is known of the exposure or the chart belongs to `envcal balance`.")
+    refuse_own_input(out, shots)
     finish(work(shots, out, PanoramaSettings(), absolute), as_json=as_json, out=out)
 
 
@@ -260,6 +268,7 @@ def cluster(
     The lights are also written beside the output, as OUT.lights.json.
     """
     lights_out = out.with_suffix(".lights.json")
+    refuse_own_input(out, [map_path, lights_path, *profile_paths], beside=[lights_out])
     outcome = _find_lights(
         map_path,
         out,
@@ -315,6 +324,7 @@ def uplift(
         raise click.UsageError(
             "--indoor, --lights and --library belong to the search for lights; give them to `envcal cluster`."
         )
+    refuse_own_input(out, [map_path, clusters, lights_path])
     settings = stage_settings(UpliftSettings, "uplift", overrides, method=method)
     more: list[str] = []
     with tempfile.TemporaryDirectory() as folder, Reporter().progress("uplift") as progress:
@@ -352,6 +362,7 @@ def spectra(uplift_path: Path, out: Path, wavelengths: str, half: bool, as_json:
         parse_bands(wavelengths)
     except ValueError as error:
         raise click.BadParameter(str(error), param_hint="--wavelengths") from None
+    refuse_own_input(out, [uplift_path])
     with Reporter().progress("spectra") as progress:
         outcome = work(uplift_path, out, SpectraSettings(wavelengths=wavelengths, half=half), progress=progress)
     finish(outcome, as_json=as_json, out=out)
