@@ -46,6 +46,9 @@ class Clusters:
     share: Floats  # [k] of luminance · solid angle of the whole map; sums to 1
     at: Floats  # [k, 2] (u, v) of the cluster's brightest region, 0…1 from the top left of the map
     warnings: tuple[str, ...]
+    lamp_above: float = (
+        np.inf
+    )  # luminance above which a pixel was taken for a lamp seen directly; infinite where none was
 
 
 def nothing(image: Image, warning: str) -> Clusters:
@@ -109,7 +112,7 @@ def mixed(image: Image, view: View, chosen: Chosen, sky: Sky | None, *, matrices
         for place, one in enumerate(order)
     ]
     outdoors = order == outdoor
-    return _record(view, rows, share[order], everywhere, outdoors)
+    return _record(view, rows, share[order], everywhere, outdoors, lamp_above=found.above)
 
 
 def lone(image: Image, view: View, found: Evidence, centres: Floats, xyz_from_rgb: Floats) -> Clusters:
@@ -169,7 +172,9 @@ def _one(view: View, mine: Bools, colours: Floats, weight: Floats, direct: bool,
     )
 
 
-def _record(view: View, rows: list[_Described], share: Floats, own: Members, outdoor: Bools) -> Clusters:
+def _record(
+    view: View, rows: list[_Described], share: Floats, own: Members, outdoor: Bools, *, lamp_above: float = np.inf
+) -> Clusters:
     lamps = np.stack([row.lamp for row in rows])
     if outdoor.any():
         lamps[outdoor] = daylight(view)
@@ -188,6 +193,7 @@ def _record(view: View, rows: list[_Described], share: Floats, own: Members, out
         share=share,
         at=np.array([row.at for row in rows]),
         warnings=(),
+        lamp_above=lamp_above,
     )
 
 
