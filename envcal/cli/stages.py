@@ -214,6 +214,7 @@ def _find_lights(
     space: str | None,
     library: Path | None,
     overrides: Sequence[str] = (),
+    tell_lost: bool = True,
 ) -> Outcome:
     from envcal import profile as profiles
     from envcal.config import ClusterSettings, Pipeline, stage_settings
@@ -233,6 +234,7 @@ def _find_lights(
         wavelengths=defaults["wavelengths"].default,
         observer_name=defaults["observer"].default,
         profiles={str(path): profiles.read(path) for path in profile_paths},
+        tell_lost=tell_lost,
     )
 
 
@@ -338,6 +340,7 @@ def uplift(
                 lights_path=lights_path,
                 space=space,
                 library=library,
+                tell_lost=False,
             )
             more = [*found.warnings]
             if not as_json:
