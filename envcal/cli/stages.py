@@ -320,6 +320,9 @@ def uplift(
     from envcal.config import UpliftSettings, stage_settings
     from envcal.maps import read_map
     from envcal.reporter import Reporter
+    from envcal.runner import Outcome
+    from envcal.steps.cluster import lights_figures
+    from envcal.steps.uplift import read_lights
     from envcal.steps.uplift import uplift as work
 
     if clusters is not None and (indoor is not None or lights_path is not None or library is not None):
@@ -345,7 +348,9 @@ def uplift(
             more = [*found.warnings]
             if not as_json:
                 click.echo(found.summary)
+        lights = lights_figures(read_lights(clusters))
         outcome = work(read_map(map_path, space=space), clusters, out, settings, progress=progress)
+    outcome = Outcome(outcome.summary, {**outcome.figures, **lights}, outcome.warnings)
     finish(_with_warnings(outcome, more), as_json=as_json, out=out)
 
 

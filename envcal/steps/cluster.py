@@ -107,16 +107,16 @@ def cluster(
     }
     exr.write(out, planes, attributes=attributes)
     atomic.write_json(lights_out, lights.model_dump(mode="json"))
-    figures = {
-        "space": source.space,
-        "space_said_by": source.said_by,
-        "sky": sky.present,
-        "lights": [light.model_dump(mode="json", exclude={"emission"}) for light in lights.lights],
-    }
+    figures = {"space": source.space, "space_said_by": source.said_by, **lights_figures(lights)}
     lost = lost_told(source) if tell_lost or source.photographed else None
     told = [] if lost is None else [lost]
     warnings = [*found.warnings, *chart_warnings, *told, *doubts(image, clusters.labels, lights.lights, declared)]
     return Outcome(summary(lights.lights), figures, warnings)
+
+
+def lights_figures(lights: Lights) -> dict[str, Any]:
+    """What is told of the lights in figures: all but their spectra."""
+    return {"sky": lights.sky, "lights": [one.model_dump(mode="json", exclude={"emission"}) for one in lights.lights]}
 
 
 #: A declared spectrum this far from the colour seen bends the spectra of what it lights by tens of per cent.

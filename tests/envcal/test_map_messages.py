@@ -1,5 +1,7 @@
 """What is said of maps that are damaged, unfit or no maps at all."""
 
+import json
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -98,3 +100,26 @@ def test_what_was_made_of_a_map_is_no_map_and_the_right_command_is_named(tmp_pat
         assert "is a spectral image already" in told
     assert not (tmp_path / "out.exr").exists()
     envcal("uplift", map_path, "--clusters", clusters, "-o", tmp_path / "out.exr")
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_the_lights_are_in_the_figures_of_an_uplift_as_in_those_of_cluster(tmp_path, given):
+    source, clusters = written(tmp_path / "map.exr"), tmp_path / "clusters.exr"
+    found = json.loads(envcal("cluster", source, "-o", clusters, "--json").stdout)["figures"]
+    more = ["--clusters", clusters] if given else []
+    figures = json.loads(envcal("uplift", source, "-o", tmp_path / "out.exr", "--json", *more).stdout)["figures"]
+    assert figures["lights"] == found["lights"]
+    assert figures["sky"] is False
+    assert {"type", "cct", "share", "at"} <= figures["lights"][0].keys()
+    assert "emission" not in figures["lights"][0]
+    assert figures["pixels"] == 512
+
+
+def test_what_is_declared_wins_over_indoor_which_gives_the_type_that_is_missing(tmp_path):
+    source, lights = written(tmp_path / "map.exr"), tmp_path / "lights.yaml"
+    for declared, kind in (("type: incandescent", "incandescent"), ("cct: 4000", "led")):
+        lights.write_text(f"- {{at: [0.5, 0.5], {declared}}}\n")
+        done = envcal("cluster", source, "-o", tmp_path / "c.exr", "--lights", lights, "--indoor", "led", "--json")
+        (light,) = json.loads(done.stdout)["figures"]["lights"]
+        assert light["declared"]
+        assert light["type"] == kind
