@@ -20,6 +20,9 @@ Floats = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 Bools = npt.NDArray[np.bool_]
 
+EVENLY = 0.99  # of the greatest: pixels that have as much light about them are one region
+NO_MIDDLE = 0.1  # length of the mean direction: what surrounds the camera on all sides has no middle
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clusters:
@@ -201,12 +204,29 @@ def _brightest_region(luminance: Floats, mine: Bools) -> int:
     """Flat index of the pixel about which most of a cluster's own light stands within a hundredth of the map's width.
 
     A single pixel will not do: the rim of a lamp of another colour has pixels of any colour, brighter than most lamps.
+    Where many pixels have as much about them, as in a panel that shines evenly, it is the one in their middle.
     """
     reach = max(1, luminance.shape[1] // 100)
     shone = np.where(mine, luminance, 0.0).astype(np.float32)
     wrapped = np.pad(shone, ((0, 0), (reach, reach)), mode="wrap")
-    own = cv2.blur(wrapped, (2 * reach + 1, 2 * reach + 1), borderType=cv2.BORDER_REPLICATE)[:, reach:-reach]
-    return int(np.argmax(np.where(mine, own, -1.0)))
+    blurred = cv2.blur(wrapped, (2 * reach + 1, 2 * reach + 1), borderType=cv2.BORDER_REPLICATE)[:, reach:-reach]
+    own = np.where(mine, blurred, -1.0)
+    return _middle(own >= EVENLY * own.max(), int(np.argmax(own)))
+
+
+def _middle(those: Bools, first: int) -> int:
+    """Flat index of the pixel in the middle, on the sphere, of those that hang together with `first`."""
+    height, width = those.shape
+    shift = width // 2 - first % width  # so that what lies across the seam hangs together
+    _, part = cv2.connectedComponents(np.roll(those, shift, axis=1).astype(np.uint8))
+    rows, columns = np.nonzero(part == part[first // width, width // 2])
+    theta, phi = np.pi * (rows + 0.5) / height, 2.0 * np.pi * (columns + 0.5) / width
+    ways = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
+    mean = np.sin(theta) @ ways / np.sin(theta).sum()
+    if np.sqrt(mean @ mean) < NO_MIDDLE:
+        return first
+    nearest = int(np.argmax(ways @ mean))
+    return int(rows[nearest] * width + (columns[nearest] - shift) % width)
 
 
 def _spreads(colours: Floats, weight: Floats, xyz_from_rgb: Floats) -> tuple[float, float]:
