@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uplift.cct import cct_duv, mired, xy_of_rgb
-from uplift.cluster.count import Chosen, weighted_median
+from uplift.cluster.count import ALIKE_DUV, ALIKE_MIRED, Chosen, alike, weighted_median
 from uplift.cluster.evidence import Evidence, View, daylight
 from uplift.cluster.kmeans import angles, histogram, labelled, squared
 from uplift.cluster.lamps import lamp_colour, lamps_of
@@ -52,6 +52,10 @@ class Clusters:
     lamp_above: float = (
         np.inf
     )  # luminance above which a pixel was taken for a lamp seen directly; infinite where none was
+    alike: tuple[float, float] = (
+        ALIKE_MIRED,
+        ALIKE_DUV,
+    )  # apart by less than both of these, in mired and Duv, lights are one
 
 
 def nothing(image: Image, warning: str) -> Clusters:
@@ -115,7 +119,7 @@ def mixed(image: Image, view: View, chosen: Chosen, sky: Sky | None, *, matrices
         for place, one in enumerate(order)
     ]
     outdoors = order == outdoor
-    return _record(view, rows, share[order], everywhere, outdoors, lamp_above=found.above)
+    return _record(view, rows, share[order], everywhere, outdoors, found)
 
 
 def lone(image: Image, view: View, found: Evidence, centres: Floats, xyz_from_rgb: Floats) -> Clusters:
@@ -176,7 +180,7 @@ def _one(view: View, mine: Bools, colours: Floats, weight: Floats, direct: bool,
 
 
 def _record(
-    view: View, rows: list[_Described], share: Floats, own: Members, outdoor: Bools, *, lamp_above: float = np.inf
+    view: View, rows: list[_Described], share: Floats, own: Members, outdoor: Bools, found: Evidence | None = None
 ) -> Clusters:
     lamps = np.stack([row.lamp for row in rows])
     if outdoor.any():
@@ -196,7 +200,8 @@ def _record(
         share=share,
         at=np.array([row.at for row in rows]),
         warnings=(),
-        lamp_above=lamp_above,
+        lamp_above=np.inf if found is None else found.above,
+        alike=(ALIKE_MIRED, ALIKE_DUV) if found is None else alike(direct=found.direct),
     )
 
 

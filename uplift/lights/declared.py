@@ -11,7 +11,7 @@ import numpy.typing as npt
 from uplift import UpliftError
 from uplift.cct import cct_duv, mired, uv_of_xy, xy_of_rgb
 from uplift.cluster import Clusters
-from uplift.cluster.count import ALIKE_DUV, ALIKE_MIRED, ALIKE_UV
+from uplift.cluster.count import ALIKE_UV
 from uplift.illuminants import FAMILIES
 from uplift.illuminants.fluorescent import NAMES as FLUORESCENT_NAMES
 from uplift.illuminants.led import NAMES as LED_NAMES
@@ -117,11 +117,11 @@ def _not_used(name: str, place: _Place, other_name: str, other: _Place, clusters
     """Why a second declaration in a cluster has no light of its own, and what to do."""
     cluster = place.cluster
     told = f"{name} is not used: it is in the same cluster ({cluster}) as {other_name}, whose spectrum holds there. "
-    alike, apart = _apart(place.rgb, other.rgb, space)
+    alike, apart = _apart(place.rgb, other.rgb, clusters.alike, space)
     if alike:
         return told + (
-            f"The map shows the two places {apart} apart, too alike to be told apart ({ALIKE_MIRED:g} mired or Duv "
-            f"{ALIKE_DUV:g} are). Declare one of them"
+            f"The map shows the two places {apart} apart, too alike to be told apart ({clusters.alike[0]:g} mired or Duv "
+            f"{clusters.alike[1]:g} are enough). Declare one of them"
         )
     one_alone = "declare the stronger light alone: what the other lights keeps its colours, under that one's spectrum"
     told += f"The map shows the two places {apart} apart, so they are not too alike, but "
@@ -139,12 +139,12 @@ def _not_used(name: str, place: _Place, other_name: str, other: _Place, clusters
     )
 
 
-def _apart(one: Floats, other: Floats, space: RGBSpace) -> tuple[bool, str]:
+def _apart(one: Floats, other: Floats, limits: tuple[float, float], space: RGBSpace) -> tuple[bool, str]:
     """Whether two colours [3] are so alike that clusters of them are one light, and how far apart they are, in words."""
     xy = xy_of_rgb(np.stack([one, other]), space.xyz_from_rgb)
     cct, duv = cct_duv(xy)
     if np.isfinite(cct).all():
         along, across = float(abs(np.diff(mired(cct))[0])), float(abs(np.diff(duv)[0]))
-        return along < ALIKE_MIRED and across < ALIKE_DUV, f"{along:.0f} mired and Duv {across:.3f}"
+        return along < limits[0] and across < limits[1], f"{along:.0f} mired and Duv {across:.3f}"
     on_plane = float(np.hypot(*np.diff(uv_of_xy(xy), axis=0)[0]))
     return on_plane < ALIKE_UV, f"{on_plane:.3f} in (u, v)"
