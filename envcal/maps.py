@@ -125,6 +125,6 @@ def lost_told(source: Map) -> str | None:
         for row, column in zip(*np.unravel_index(np.flatnonzero(lost)[:NAMED], lost.shape), strict=True)
     ]
     return (
-        f"{count} pixel{'s' if count > 1 else ''} ({places_told(first, count)}) NaN or infinite in the file: no light was looked for "
+        f"{count} pixel{'s' if count > 1 else ''} ({places_told(first, count)}): NaN or infinite in the file; no light was looked for "
         f"there. If a lamp stood there, write the map again with its values."
     )
