@@ -232,9 +232,15 @@ def header(path: Path) -> Header:
         raise EnvcalError(f"{path}: is a folder; an .exr file is expected. Give the file in it.")
     if not path.is_file():
         raise EnvcalError(f"{path}: there is no such file.")
-    with path.open("rb") as handle:
-        if handle.read(4) != b"\x76\x2f\x31\x01":
-            raise EnvcalError(f"{path}: is not an OpenEXR file. Give an .exr, or an .hdr with that extension.")
+    try:
+        with path.open("rb") as handle:
+            begins = handle.read(4)
+    except OSError as error:
+        raise EnvcalError(f"{path}: cannot be read ({error.strerror}). Check its permissions.") from error
+    if begins != b"\x76\x2f\x31\x01":
+        raise EnvcalError(
+            f"{path}: is not an OpenEXR file{'' if begins else ', but empty'}. Give an .exr, or an .hdr with that extension."
+        )
     try:
         with OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
             if not file.parts:
@@ -243,6 +249,8 @@ def header(path: Path) -> Header:
         with contextlib.closing(OpenEXR.InputFile(str(path))) as legacy:
             kinds = {name: _kind(channel.type) for name, channel in legacy.header()["channels"].items()}
     except (RuntimeError, ValueError, OSError, TypeError) as error:
+        if "Unable to open" in str(error):  # what the library says of a header cut off, though the file was opened
+            raise EnvcalError(_truncated(path)) from error
         raise EnvcalError(f"{path}: cannot be read as OpenEXR ({error}). Copy or make the file again.") from error
     (x0, y0), (x1, y1) = (tuple(int(v) for v in corner) for corner in raw["dataWindow"])
     height, width = y1 - y0 + 1, x1 - x0 + 1

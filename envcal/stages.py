@@ -109,6 +109,7 @@ def _uplift(run: Run) -> Outcome:
             run.path("uplift/environment.exr"),
             run.loaded.settings.uplift,
             progress=progress,
+            reported=True,
         )
 
 

@@ -173,6 +173,9 @@ def test_lights_that_may_not_be_what_they_are_taken_for_are_doubted(tmp_path):
     assert "does not move a surface" in found("{at: [0.9, 0.9], type: led}")
     image[0, 0] = np.nan
     exr.write(tmp_path / "map.exr", exr.rgb_planes(image), attributes=attributes)
+    assert "1 pixel (x 0, y 0): NaN or infinite in the file" in found("{at: [0.2, 0.24], type: daylight}")
+    photographed = attributes | {"envcalStage": "panorama"}
+    exr.write(tmp_path / "map.exr", exr.rgb_planes(image), attributes=photographed)
     assert "lamps are the first to be" in found("{at: [0.2, 0.24], type: daylight}")
 
 

@@ -327,6 +327,12 @@ def _check(rgb: npt.NDArray[np.floating], cluster: npt.NDArray[np.integer], tabl
             f"uplift_pixels: cluster has shape {cluster.shape} of {cluster.dtype}; expected integers {rgb.shape[:2]}, "
             "the index of each pixel's table"
         )
+    if isinstance(tables, Table) or not isinstance(tables, Sequence) or not all(isinstance(t, Table) for t in tables):
+        given = "one Table" if isinstance(tables, Table) else "no sequence of Tables"
+        raise UpliftError(
+            f"uplift_pixels: tables is {given}; expected one for each cluster, in a list, such as [table], with the cluster 0 for "
+            "every pixel"
+        )
     if not tables:
         raise UpliftError("uplift_pixels: no tables; build one for each cluster with build_table")
     # Those of 32 unsigned bits are checked on the way, by all threads.

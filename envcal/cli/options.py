@@ -59,14 +59,21 @@ space_option = click.option(
     help="Linear RGB space of the map, where its header does not say (default: sRGB).",
 )
 indoor_option = click.option(
-    "--indoor", type=click.Choice(INDOOR), help="What undeclared indoor lights are (default: auto)."
+    "--indoor",
+    type=click.Choice(INDOOR),
+    help="What indoor lights are of which --lights does not say it; a declared type wins (default: auto).",
 )
 library_option = click.option(
     "--library",
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     help="Folder of your own measured spectra.",
 )
-lights_option = click.option("--lights", "lights_path", type=FILE, help="lights.yaml: what is known of the lights.")
+lights_option = click.option(
+    "--lights",
+    "lights_path",
+    type=FILE,
+    help="lights.yaml: what is known of the lights, as `lights: [{at: [u, v], type: led}]`.",
+)
 
 
 def finish(outcome: Outcome, *, as_json: bool, out: Path) -> None:

@@ -24,6 +24,7 @@ from envcal.cli.options import (
     set_option,
     space_option,
 )
+from envcal.cli.overwriting import refuse_own_input
 
 if TYPE_CHECKING:
     from envcal.config import DeclaredLight
@@ -44,6 +45,7 @@ def merge(frames: Sequence[Path], out: Path, overrides: Sequence[str], as_json: 
 
     settings = stage_settings(MergeSettings, "merge", overrides)
     refuse_unknown_names(settings, {out.stem: tuple(frames)})
+    refuse_own_input(out, [*frames, settings.dark_frame, settings.flat_field, settings.lens_database])
     with Reporter().progress("merge") as progress:
         outcome = work(frames, out, settings, progress=progress)
     finish(outcome, as_json=as_json, out=out)
@@ -84,9 +86,11 @@ def correct(
             "--chart, --space and --set belong to a new calibration; a profile brings its own matrix and space."
         )
     settings = stage_settings(CorrectSettings, "correct", overrides, chart=None if chart is None else _corners(chart))
+    profile_out = out.with_suffix(".profile.json")
+    refuse_own_input(out, [merged, profile, settings.patches], beside=[profile_out] if profile is None else [])
     if profile is None:
         found = calibrate_on_chart(merged, settings, space or SPACES[0])
-        found.write(out.with_suffix(".profile.json"))
+        found.write(profile_out)
     else:
         found = profiles.read(profile)
     outcome = work(merged, out, settings, found, applied=None if profile is None else str(profile))
@@ -158,9 +162,12 @@ def balance(
         lamp=None if lamp is None else {"rectangle": _rectangle(lamp)},
         camera=camera,
     )
+    profile_out = out.with_suffix(".profile.json")
+    read = [corrected, profile, settings.spectrum, None if camera is None else Path(camera), *(pair or ())]
+    refuse_own_input(out, read, beside=[profile_out] if profile is None else [])
     if profile is None:
         found = calibrate_on_lamp(corrected, settings, absolute, pair=pair)
-        found.write(out.with_suffix(".profile.json"))
+        found.write(profile_out)
     else:
         found = profiles.read(profile)
     outcome = work(corrected, out, settings, found, applied=None if profile is None else str(profile))
@@ -194,6 +201,7 @@ def panorama(shots: Sequence[Path], out: Path, photometry: Sequence[str], as_jso
     absolute = stage_settings(PhotometrySettings, "photometry", photometry)
     if photometry and absolute.of_map is None:
         raise click.UsageError("what is known of the exposure or the chart belongs to `envcal balance`.")
+    refuse_own_input(out, shots)
     finish(work(shots, out, PanoramaSettings(), absolute), as_json=as_json, out=out)
 
 
@@ -214,6 +222,7 @@ def _find_lights(
     space: str | None,
     library: Path | None,
     overrides: Sequence[str] = (),
+    tell_lost: bool = True,
 ) -> Outcome:
     from envcal import profile as profiles
     from envcal.config import ClusterSettings, Pipeline, stage_settings
@@ -233,6 +242,7 @@ def _find_lights(
         wavelengths=defaults["wavelengths"].default,
         observer_name=defaults["observer"].default,
         profiles={str(path): profiles.read(path) for path in profile_paths},
+        tell_lost=tell_lost,
     )
 
 
@@ -268,6 +278,7 @@ def cluster(
     The lights are also written beside the output, as OUT.lights.json.
     """
     lights_out = out.with_suffix(".lights.json")
+    refuse_own_input(out, [map_path, lights_path, *profile_paths], beside=[lights_out])
     outcome = _find_lights(
         map_path,
         out,
@@ -317,12 +328,16 @@ def uplift(
     from envcal.config import UpliftSettings, stage_settings
     from envcal.maps import read_map
     from envcal.reporter import Reporter
+    from envcal.runner import Outcome
+    from envcal.steps.cluster import lights_figures
+    from envcal.steps.uplift import read_lights
     from envcal.steps.uplift import uplift as work
 
     if clusters is not None and (indoor is not None or lights_path is not None or library is not None):
         raise click.UsageError(
             "--indoor, --lights and --library belong to the search for lights; give them to `envcal cluster`."
         )
+    refuse_own_input(out, [map_path, clusters, lights_path])
     settings = stage_settings(UpliftSettings, "uplift", overrides, method=method)
     more: list[str] = []
     with tempfile.TemporaryDirectory() as folder, Reporter().progress("uplift") as progress:
@@ -336,11 +351,14 @@ def uplift(
                 lights_path=lights_path,
                 space=space,
                 library=library,
+                tell_lost=False,
             )
             more = [*found.warnings]
             if not as_json:
                 click.echo(found.summary)
+        lights = lights_figures(read_lights(clusters))
         outcome = work(read_map(map_path, space=space), clusters, out, settings, progress=progress)
+    outcome = Outcome(outcome.summary, {**outcome.figures, **lights}, outcome.warnings)
     finish(_with_warnings(outcome, more), as_json=as_json, out=out)
 
 
@@ -360,6 +378,7 @@ def spectra(uplift_path: Path, out: Path, wavelengths: str, half: bool, as_json:
         parse_bands(wavelengths)
     except ValueError as error:
         raise click.BadParameter(str(error), param_hint="--wavelengths") from None
+    refuse_own_input(out, [uplift_path])
     with Reporter().progress("spectra") as progress:
         outcome = work(uplift_path, out, SpectraSettings(wavelengths=wavelengths, half=half), progress=progress)
     finish(outcome, as_json=as_json, out=out)

@@ -56,6 +56,11 @@ def load(path: Path, *, overrides: Sequence[str] = ()) -> Loaded:
     Relative paths in the file start from the file's own folder. Raises an `EnvcalError` listing every mistake.
     """
     tree = read_yaml(path)
+    if _is_lights(tree):
+        raise EnvcalError(
+            f"{path}: is a lights.yaml, and names no photographs; a pipeline.yaml is expected. `envcal cluster` and `envcal "
+            f"uplift` take this file with --lights; in a pipeline.yaml its lights stand under `cluster`."
+        )
     if tree is None or not isinstance(tree, dict):
         raise EnvcalError(f"{path}: holds no settings; at least `capture: {{reference: shots/*.dng}}` is needed.")
     set_by: dict[tuple[str, ...], str] = {}
@@ -87,18 +92,55 @@ def stage_settings(model: type[Model], stage: str, overrides: Sequence[str], **g
         raise EnvcalError("\n".join(told(Path("--set"), tree, error, set_by, model=model))) from None
 
 
+_LIGHTS_FORM = "lights: [{at: [0.84, 0.16], type: led}]"
+
+
+def _is_lights(tree: Any) -> bool:
+    """Whether a tree holds declared lights and nothing of a pipeline."""
+    if isinstance(tree, dict):
+        return "lights" in tree and "capture" not in tree
+    return isinstance(tree, list) and any(isinstance(one, dict) and "at" in one for one in tree)
+
+
 def load_lights(path: Path, library: Path | None = None) -> tuple[DeclaredLight, ...]:
-    """Read a `lights.yaml`: `lights: [...]`, as under `cluster` in a pipeline file."""
+    """Read a `lights.yaml`: `lights: [...]`, the bare list, or `cluster: {lights: [...]}` as in a pipeline file."""
 
     class Lights(Settings):
         lights: list[DeclaredLight]
 
-    tree = read_yaml(path)
+    class InCluster(Settings):
+        cluster: Lights
+
+    tree = read_yaml(path, expected="a lights.yaml")
+    form = f"A lights.yaml holds `{_LIGHTS_FORM}`, or that list alone; u and v run from the top left of the map"
+    if isinstance(tree, dict) and "capture" in tree:
+        raise EnvcalError(
+            f"{path}: is a pipeline.yaml, which `envcal run` takes; a lights.yaml is expected. Copy the `lights` under its "
+            f"`cluster` to a file. {form}."
+        )
+    if isinstance(tree, list):
+        tree = _Headed(lights=tree)
+    if not isinstance(tree, dict) or not tree:
+        raise EnvcalError(f"{path}: holds no lights. {form}.")
     try:
-        found = Lights.model_validate(plain(tree) if isinstance(tree, dict) else {})
+        if "cluster" in tree:
+            lights = InCluster.model_validate(plain(tree)).cluster.lights
+        else:
+            lights = Lights.model_validate(plain(tree)).lights
     except ValidationError as error:
-        raise EnvcalError("\n".join(told(path, tree, error, {}, model=Lights))) from None
-    return tuple(_rooted(light, path.parent, library) for light in found.lights)
+        model = InCluster if "cluster" in tree else Lights
+        raise EnvcalError("\n".join([*told(path, tree, error, {}, model=model), f"{form}."])) from None
+    return tuple(_rooted(light, path.parent, library) for light in lights)
+
+
+class _Headed(dict[str, Any]):
+    """A bare list under the key that it goes without, at whose place stands the file's beginning."""
+
+    class _Place:
+        def key(self, _key: str) -> tuple[int, int]:
+            return 0, 0
+
+    lc = _Place()
 
 
 def _rooted(light: DeclaredLight, folder: Path, library: Path | None) -> DeclaredLight:

@@ -28,17 +28,32 @@ REMEDIES = {
 }
 
 
-def read_yaml(path: Path) -> Any:
-    """The tree of a file; every mistake of YAML is an `EnvcalError` with its line and a remedy."""
+#: How pictures begin: OpenEXR, Radiance, TIFF (and most RAW files), JPEG, PNG.
+_PICTURES = (b"\x76\x2f\x31\x01", b"#?", b"II*\0", b"MM\0*", b"\xff\xd8\xff", b"\x89PNG")
+
+
+def read_yaml(path: Path, *, expected: str = "a pipeline.yaml") -> Any:
+    """The tree of a file; every mistake of YAML is an `EnvcalError` with its line and a remedy.
+
+    `expected` names the file in messages to who gave another kind of file, or a folder.
+    """
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
     try:
+        if path.is_dir():
+            inside = path / expected.rsplit(maxsplit=1)[-1]
+            raise EnvcalError(
+                f"{path}: is a folder; {expected} is expected." + (f" Give {inside}." if inside.is_file() else "")
+            )
+        with path.open("rb") as handle:
+            if handle.read(8).startswith(_PICTURES):
+                raise EnvcalError(f"{path}: is an image; {expected} is expected.")
         if path.stat().st_size > MOST_BYTES:
             raise EnvcalError(f"{path}: is larger than {MOST_BYTES >> 20} MiB; that is no settings file.")
         text = path.read_text(encoding="utf-8")
     except OSError as error:
-        raise EnvcalError(f"{path}: cannot be read ({error.strerror}). Give the path of a pipeline.yaml.") from error
+        raise EnvcalError(f"{path}: cannot be read ({error.strerror}). Give the path of {expected}.") from error
     except UnicodeDecodeError as error:
         raise EnvcalError(
             f"{path}: is not UTF-8 text ({error.reason} at byte {error.start}). Save it as UTF-8."

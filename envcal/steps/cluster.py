@@ -13,7 +13,7 @@ from envcal import atomic, exr, provenance
 from envcal.config import ClusterSettings, DeclaredLight, parse_wavelengths
 from envcal.errors import EnvcalError
 from envcal.lights_file import LightRecord, Lights, record, summary
-from envcal.maps import Map
+from envcal.maps import Map, lost_told
 from envcal.runner import Outcome
 from envcal.spd import in_library, read_spd
 from envcal.steps import chart_light
@@ -36,11 +36,13 @@ def cluster(
     observer_name: str,
     calibration: float = 0.0,
     profiles: Mapping[str, Profile] | None = None,
+    tell_lost: bool = True,
 ) -> Outcome:
     """Find the lights of a map; write it, its `cluster`s and the `sky` to `out` and the lights to `lights_out`.
 
     `profiles` are those of chart shots in this place, by name: a light of a chart's colour gets the spectrum measured there.
     `calibration` is the relative standard deviation that the camera's calibration gives to any CCT (`calibration_error`).
+    `tell_lost` False leaves the pixels that are NaN or infinite in the file to the uplift that follows, which tells them too.
 
     The lights also stand in the header of `out`, so that one file carries all that the uplift needs.
     """
@@ -105,14 +107,16 @@ def cluster(
     }
     exr.write(out, planes, attributes=attributes)
     atomic.write_json(lights_out, lights.model_dump(mode="json"))
-    figures = {
-        "space": source.space,
-        "space_said_by": source.said_by,
-        "sky": sky.present,
-        "lights": [light.model_dump(mode="json", exclude={"emission"}) for light in lights.lights],
-    }
-    warnings = [*found.warnings, *chart_warnings, *doubts(image, clusters.labels, lights.lights, declared)]
+    figures = {"space": source.space, "space_said_by": source.said_by, **lights_figures(lights)}
+    lost = lost_told(source) if tell_lost or source.photographed else None
+    told = [] if lost is None else [lost]
+    warnings = [*found.warnings, *chart_warnings, *told, *doubts(image, clusters.labels, lights.lights, declared)]
     return Outcome(summary(lights.lights), figures, warnings)
+
+
+def lights_figures(lights: Lights) -> dict[str, Any]:
+    """What is told of the lights in figures: all but their spectra."""
+    return {"sky": lights.sky, "lights": [one.model_dump(mode="json", exclude={"emission"}) for one in lights.lights]}
 
 
 #: A declared spectrum this far from the colour seen bends the spectra of what it lights by tens of per cent.
@@ -131,12 +135,6 @@ def doubts(
 ) -> list[str]:
     """Return warnings about lights that may not be what a person takes them for."""
     texts = []
-    lost = float(np.isnan(image).any(axis=2).mean())
-    if lost > 0:
-        texts.append(
-            f"{lost:.2%} of the map is lost (clipped in every frame), and lamps are the first to be: the lights found may "
-            f"be others than those of the place. Add a shorter exposure to the bracket."
-        )
     for light in lights:
         if not light.declared or light.cct is None or light.cct_seen is None:
             continue

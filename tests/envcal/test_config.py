@@ -147,6 +147,67 @@ def test_declared_lights_can_stand_in_a_file_of_their_own(tmp_path):
         config.load_lights(path)
 
 
+@pytest.mark.parametrize(
+    "form",
+    [
+        "lights:\n- {at: [0.5, 0.1], type: led}\n",
+        "- {at: [0.5, 0.1], type: led}\n",
+        "cluster:\n  lights:\n  - {at: [0.5, 0.1], type: led}\n",
+    ],
+)
+def test_declared_lights_may_stand_in_every_natural_form(tmp_path, form):
+    path = tmp_path / "lights.yaml"
+    path.write_text(form)
+    (one,) = config.load_lights(path)
+    assert (one.at, one.type) == ((0.5, 0.1), "led")
+    path.write_text(form.replace("type", "tpye"))
+    line = form.count("\n")
+    with pytest.raises(EnvcalError, match=rf"lights.yaml:{line}: .*did you mean `type`") as caught:
+        config.load_lights(path)
+    assert "holds `lights: [{at: [0.84, 0.16], type: led}]`" in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "3\n", "[]\n", "lights: 3\n", "lihgts: []\n", "cluster: {lihgts: []}\n"])
+def test_a_lights_file_of_no_known_form_is_shown_one(tmp_path, text):
+    path = tmp_path / "lights.yaml"
+    path.write_text(text)
+    if text == "[]\n":  # an empty list says that nothing is known
+        assert config.load_lights(path) == ()
+        return
+    with pytest.raises(EnvcalError) as caught:
+        config.load_lights(path)
+    assert "holds `lights: [{at: [0.84, 0.16], type: led}]`" in str(caught.value)
+
+
+def test_files_taken_for_one_another_are_called_what_they_are(tmp_path):
+    for text in ("lights: [{at: [0, 0], type: led}]\n", "- {at: [0, 0], type: led}\n"):
+        assert "is a lights.yaml" in mistakes(tmp_path, text)[0]
+        assert "--lights" in mistakes(tmp_path, text)[0]
+    path = tmp_path / "pipeline.yaml"
+    path.write_text("capture: {reference: f1.dng}\ncluster: {lights: [{at: [0, 0], type: led}]}\n")
+    with pytest.raises(EnvcalError, match=r"is a pipeline.yaml, which `envcal run` takes"):
+        config.load_lights(path)
+
+
+@pytest.mark.parametrize("begins", [b"\x76\x2f\x31\x01", b"#?RADIANCE", b"II*\0", b"\xff\xd8\xff\xe0", b"\x89PNG\r\n"])
+def test_an_image_in_the_place_of_settings_is_called_one_however_large(tmp_path, begins):
+    path = tmp_path / "studio.exr"
+    for size in (10, 1 << 21):
+        path.write_bytes(begins + bytes(size))
+        with pytest.raises(EnvcalError, match=r"is an image; a pipeline.yaml is expected"):
+            config.load(path)
+        with pytest.raises(EnvcalError, match=r"is an image; a lights.yaml is expected"):
+            config.load_lights(path)
+
+
+def test_a_folder_in_the_place_of_settings_is_called_one_and_its_settings_named(tmp_path):
+    with pytest.raises(EnvcalError, match=r"is a folder; a pipeline.yaml is expected.$"):
+        config.load(tmp_path)
+    (tmp_path / "pipeline.yaml").touch()
+    with pytest.raises(EnvcalError, match=r"Give .*pipeline.yaml"):
+        config.load(tmp_path)
+
+
 def test_the_shipped_schema_and_pipeline_are_those_of_the_code():
     assert (ROOT / "pipeline.schema.json").read_text(encoding="utf-8") == config.schema()
     first = (ROOT / "pipeline.yaml").read_text(encoding="utf-8").splitlines()[0]

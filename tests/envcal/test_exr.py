@@ -74,6 +74,16 @@ def test_a_truncated_file_is_refused(tmp_path, kept, capfd):
         exr.read(path, ["R", "cluster"])
 
 
+@pytest.mark.parametrize("kept", [4, 10, 60, 200])
+def test_a_file_cut_off_in_its_header_is_called_truncated_and_not_unopenable(tmp_path, kept, capfd):
+    path = tmp_path / "a.exr"
+    exr.write(path, planes(), attributes={})
+    path.write_bytes(path.read_bytes()[:kept])
+    with pytest.raises(EnvcalError, match="is truncated or damaged") as caught:
+        exr.read_rgb(path)
+    assert "Unable to open" not in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("content", "message"), [(b"", "not an OpenEXR"), (b"\x89PNG....", "not an OpenEXR"), (None, "no such file")]
 )

@@ -191,6 +191,35 @@ def test_shares_are_ordered_and_add_up_and_places_hold_their_lamp():
         assert clusters.labels[int(v * 64), int(u * 128)] == one
 
 
+@pytest.mark.parametrize("left", [40, 120, 0])  # 120: across the seam
+def test_the_place_of_an_evenly_lit_panel_is_its_middle(left):
+    image = 0.2 * room(["A"], in_view=False)
+    columns = np.arange(left, left + 17) % 128
+    image[np.ix_(np.arange(20, 31), columns)] = 200.0 * emission_rgb("A")
+    u, v = clusters_of(image).at[0]
+    assert u == pytest.approx((left + 8.5) / 128 % 1.0, abs=1e-9)
+    # Rows nearer to the pole are shorter, so the middle of the solid angle stands a little below that of the rows.
+    assert v == pytest.approx(25.5 / 64, abs=1.01 / 64)
+
+
+def test_of_two_panels_the_place_is_the_middle_of_one_and_on_a_ring_it_is_on_the_ring():
+    image = 0.2 * room(["A"], in_view=False)
+    for left in (30, 90):
+        image[20:29, left : left + 9] = 200.0 * emission_rgb("A")
+    u, v = clusters_of(image).at[0]
+    assert min(abs(u * 128 - 34.5), abs(u * 128 - 94.5)) < 1e-6
+    ring = 0.2 * room(["A"], in_view=False)
+    ring[20:41, 50:71] = 200.0 * emission_rgb("A")
+    ring[24:37, 54:67] = 0.2 * emission_rgb("A")
+    u, v = clusters_of(ring).at[0]
+    assert ring[int(v * 64), int(u * 128)].max() > 100
+
+
+def test_light_from_everywhere_has_some_place_and_always_the_same():
+    image = np.full((32, 64, 3), 0.7, np.float32)
+    assert clusters_of(image).at.tolist() == clusters_of(image).at.tolist()
+
+
 def test_a_large_map_has_the_clusters_of_its_small_copy():
     small = room(["D65", "A"], height=64)
     large = small.repeat(16, 0).repeat(16, 1)

@@ -192,7 +192,57 @@ def test_a_place_at_the_edge_of_the_map_is_on_it():
 def test_two_declarations_of_one_cluster_are_told():
     lights = found(room(["A"]), declared=[Declared(at=A_AT, type="led"), Declared(at=(0.2, 0.6), type="FL11")])
     assert lights[0].type == "led"
-    assert "same cluster (0)" in lights.warnings[0]
+    assert "declared light 2 is not used: it is in the same cluster (0) as declared light 1" in lights.warnings[0]
+
+
+def test_two_lamps_too_alike_to_be_told_apart_are_told_so():
+    image = room(["A"])
+    image[16:18, 16:18] = 400.0 * emission_rgb("A")  # the same lamp twice
+    image[16:18, 100:102] = 400.0 * emission_rgb("A")
+    at = ((17 / 128, 17 / 64), (101 / 128, 17 / 64))
+    warning = found(image, declared=[Declared(at=at[0], type="led"), Declared(at=at[1], type="FL11")]).warnings[0]
+    assert "0 mired and Duv 0.000 apart, too alike to be told apart (20 mired or Duv 0.008 are enough)" in warning
+    assert "too dim" not in warning
+
+
+def test_a_window_too_dim_to_count_as_a_lamp_is_not_called_too_alike():
+    image = room(["D65"])
+    image[14:22, 14:22] = 4000.0 * emission_rgb("D65")
+    image[30:34, 90:94] = 12.0 * emission_rgb("A")  # far brighter than a wall, far less than the lamp
+    lamp, window = (17 / 128, 17 / 64), (92 / 128, 32 / 64)
+    lights = found(
+        image, declared=[Declared(at=lamp, type="led", name="softbox"), Declared(at=window, type="FL4", name="window")]
+    )
+    (warning,) = [text for text in lights.warnings if "not used" in text]
+    assert len(lights) == 1
+    assert "declared light 2 (window) is not used" in warning
+    assert "declared light 1 (softbox)" in warning
+    assert "196 mired" in warning  # 1e6/2855.5 − 1e6/6503
+    assert "not too alike" in warning
+    assert (
+        "too dim beside the other to count as a lamp: its luminance is 12, and a lamp of this map begins at" in warning
+    )
+    assert "declare the stronger light alone" in warning
+
+
+def test_a_lamp_bright_enough_that_sheds_too_little_is_told_so():
+    image = room(["D65"])
+    image[8:32, 10:60] = 400.0 * emission_rgb("D65")
+    image[40, 100] = 300.0 * emission_rgb("A")  # under a hundredth of the light
+    declared = [
+        Declared(at=(35 / 128, 20 / 64), type="led"),
+        Declared(at=(100.5 / 128, 40.5 / 64), type="incandescent"),
+    ]
+    (warning,) = [text for text in found(image, declared=declared).warnings if "not used" in text]
+    assert "sheds too little of the light" in warning
+    assert "too dim" not in warning
+
+
+def test_two_declarations_under_the_sky_are_one_outdoor_light():
+    image = open_air(height=128)
+    declared = [Declared(at=(0.7, 0.1), type="daylight"), Declared(at=(0.34, 0.255), type="sunset")]
+    (warning,) = [text for text in found(image, declared=declared).warnings if "not used" in text]
+    assert "one outdoor light" in warning
 
 
 @pytest.mark.parametrize(

@@ -31,6 +31,11 @@ SEEN_NEARER, WORTH_A_LOOK = 0.8, 0.4
 SEPARATION = 4.0  # Ashman's D (1994) with robust spreads; an even spread cut in two has 2.7, two lamps far more
 
 
+def alike(*, direct: bool) -> tuple[float, float]:
+    """Return the mired and the Duv nearer than which, both, lights found by lamps in view (or by surfaces) are one."""
+    return (SEEN_NEARER * ALIKE_MIRED, SEEN_NEARER * ALIKE_DUV) if direct else (ALIKE_MIRED_SURFACES, ALIKE_DUV)
+
+
 def lamp_colours(found: Evidence, label: npt.NDArray[np.int64], count: int) -> Floats:
     """Light-weighted mean colour [k, 3] of each cluster's evidence (its brightness means nothing)."""
     scaled = found.rgb / found.rgb.sum(axis=1, keepdims=True) * found.weight[:, np.newaxis]

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uplift.cct import cct_duv, mired, xy_of_rgb
-from uplift.cluster.count import Chosen, weighted_median
+from uplift.cluster.count import ALIKE_DUV, ALIKE_MIRED, Chosen, alike, weighted_median
 from uplift.cluster.evidence import Evidence, View, daylight
 from uplift.cluster.kmeans import angles, histogram, labelled, squared
 from uplift.cluster.lamps import lamp_colour, lamps_of
@@ -19,6 +19,9 @@ from uplift.sky import Sky
 Floats = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 Bools = npt.NDArray[np.bool_]
+
+EVENLY = 0.99  # of the greatest: pixels that have as much light about them are one region
+NO_MIDDLE = 0.1  # length of the mean direction: what surrounds the camera on all sides has no middle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +49,13 @@ class Clusters:
     share: Floats  # [k] of luminance · solid angle of the whole map; sums to 1
     at: Floats  # [k, 2] (u, v) of the cluster's brightest region, 0…1 from the top left of the map
     warnings: tuple[str, ...]
+    lamp_above: float = (
+        np.inf
+    )  # luminance above which a pixel was taken for a lamp seen directly; infinite where none was
+    alike: tuple[float, float] = (
+        ALIKE_MIRED,
+        ALIKE_DUV,
+    )  # apart by less than both of these, in mired and Duv, lights are one
 
 
 def nothing(image: Image, warning: str) -> Clusters:
@@ -109,7 +119,7 @@ def mixed(image: Image, view: View, chosen: Chosen, sky: Sky | None, *, matrices
         for place, one in enumerate(order)
     ]
     outdoors = order == outdoor
-    return _record(view, rows, share[order], everywhere, outdoors)
+    return _record(view, rows, share[order], everywhere, outdoors, found)
 
 
 def lone(image: Image, view: View, found: Evidence, centres: Floats, xyz_from_rgb: Floats) -> Clusters:
@@ -169,7 +179,9 @@ def _one(view: View, mine: Bools, colours: Floats, weight: Floats, direct: bool,
     )
 
 
-def _record(view: View, rows: list[_Described], share: Floats, own: Members, outdoor: Bools) -> Clusters:
+def _record(
+    view: View, rows: list[_Described], share: Floats, own: Members, outdoor: Bools, found: Evidence | None = None
+) -> Clusters:
     lamps = np.stack([row.lamp for row in rows])
     if outdoor.any():
         lamps[outdoor] = daylight(view)
@@ -188,6 +200,8 @@ def _record(view: View, rows: list[_Described], share: Floats, own: Members, out
         share=share,
         at=np.array([row.at for row in rows]),
         warnings=(),
+        lamp_above=np.inf if found is None else found.above,
+        alike=(ALIKE_MIRED, ALIKE_DUV) if found is None else alike(direct=found.direct),
     )
 
 
@@ -195,12 +209,29 @@ def _brightest_region(luminance: Floats, mine: Bools) -> int:
     """Flat index of the pixel about which most of a cluster's own light stands within a hundredth of the map's width.
 
     A single pixel will not do: the rim of a lamp of another colour has pixels of any colour, brighter than most lamps.
+    Where many pixels have as much about them, as in a panel that shines evenly, it is the one in their middle.
     """
     reach = max(1, luminance.shape[1] // 100)
     shone = np.where(mine, luminance, 0.0).astype(np.float32)
     wrapped = np.pad(shone, ((0, 0), (reach, reach)), mode="wrap")
-    own = cv2.blur(wrapped, (2 * reach + 1, 2 * reach + 1), borderType=cv2.BORDER_REPLICATE)[:, reach:-reach]
-    return int(np.argmax(np.where(mine, own, -1.0)))
+    blurred = cv2.blur(wrapped, (2 * reach + 1, 2 * reach + 1), borderType=cv2.BORDER_REPLICATE)[:, reach:-reach]
+    own = np.where(mine, blurred, -1.0)
+    return _middle(own >= EVENLY * own.max(), int(np.argmax(own)))
+
+
+def _middle(those: Bools, first: int) -> int:
+    """Flat index of the pixel in the middle, on the sphere, of those that hang together with `first`."""
+    height, width = those.shape
+    shift = width // 2 - first % width  # so that what lies across the seam hangs together
+    _, part = cv2.connectedComponents(np.roll(those, shift, axis=1).astype(np.uint8))
+    rows, columns = np.nonzero(part == part[first // width, width // 2])
+    theta, phi = np.pi * (rows + 0.5) / height, 2.0 * np.pi * (columns + 0.5) / width
+    ways = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
+    mean = np.sin(theta) @ ways / np.sin(theta).sum()
+    if np.sqrt(mean @ mean) < NO_MIDDLE:
+        return first
+    nearest = int(np.argmax(ways @ mean))
+    return int(rows[nearest] * width + (columns[nearest] - shift) % width)
 
 
 def _spreads(colours: Floats, weight: Floats, xyz_from_rgb: Floats) -> tuple[float, float]:

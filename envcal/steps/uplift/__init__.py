@@ -32,10 +32,12 @@ def uplift(
     settings: UpliftSettings,
     *,
     progress: Progress = silent,
+    reported: bool = False,
 ) -> Outcome:
     """Uplift a map under the lights of `clusters` and write the uplift file `out`, in tiles of rows.
 
-    The round trip back to RGB is measured on every pixel, in double precision and as stored.
+    The round trip back to RGB is measured on every pixel, in double precision and as stored. `reported`: in
+    a run, whose report shows where pixels are that messages speak of.
     """
     from uplift.spectrum import observer, rgb_space
 
@@ -55,7 +57,7 @@ def uplift(
         "envmap": True,
         ATTRIBUTE: method.about.model_dump(mode="json"),
     }
-    tally = Tally(method, space, height)
+    tally = Tally(method, space, height, photographed=source.photographed, reported=reported)
     rows = max(1, TILE_PIXELS // width)
     with exr.Writer(out, (height, width), channels=channels(method.about), attributes=attributes) as writer:
         for top, planes in exr.bands(clusters, needed, rows=rows):

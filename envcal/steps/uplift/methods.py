@@ -192,10 +192,10 @@ def _constrained(settings: UpliftSettings, lights: Lights, seen: Observer, space
     return Method(
         solve=solve,
         about=About(method="constrained", **_head(lights, seen, [*_of_lights(lights), *fallbacks])),
-        fallback="have colours that their light cannot show; they keep their colour under another. If they are many, "
-        "declare the light there (`cluster.lights`)",
-        closest="have colours that no light can show (noise, coloured fringes at the rims of lamps, a poor chart fit)",
-        advice="A few at the rims of lamps do no harm; the report shows where they are.",
+        fallback="colours that their light cannot show, kept under another. If they are many, declare the light there "
+        "(`cluster.lights`)",
+        closest="colours that no light can show (noise, coloured fringes at the rims of lamps, a poor chart fit)",
+        advice="A few at the rims of lamps do no harm.",
     )
 
 
@@ -208,7 +208,7 @@ def _scaled(lights: Lights, seen: Observer, space: RGBSpace) -> Method:
         solve=lambda rgb, _labels: _Coefficients.of(uplift_scaled(rgb, observer=seen, space=space), seen, space),
         about=About(method="scaled", **_head(lights, seen, [only])),
         fallback="",
-        closest="have negative components, or colours that no reflectance has at half their brightness under D65",
+        closest="negative components, or colours that no reflectance has at half their brightness under D65",
         advice=_BASELINE,
     )
 
@@ -225,9 +225,8 @@ def _lattice(lights: Lights, seen: Observer, space: RGBSpace) -> Method:
     return Method(
         solve=lambda rgb, labels: _Mixtures(uplift_lattice(rgb, labels, lattices), cube),
         about=LatticeAbout(cube=CubeRecord.of(cube), **head),
-        fallback="are dark and lie outside the lattice of their light; they keep their colour in that of D65",
-        closest="lie outside the lattice of their light, being bright or outside that of D65 too; they took its nearest "
-        "colour",
+        fallback="dark, and outside the lattice of their light; their colour is kept in that of D65",
+        closest="outside the lattice of their light, and bright or outside that of D65 too; given its nearest colour",
         advice=_BASELINE,
     )
 

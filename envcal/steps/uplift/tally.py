@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from envcal.maps import NAMED, places_told
 from envcal.runner import Outcome
 from envcal.steps.uplift.methods import Method, Solution
 
@@ -20,6 +21,8 @@ Image = npt.NDArray[np.float32]
 
 #: ΔE2000 from which a pixel that came back otherwise than it went in is worth a word.
 VISIBLE = 0.1
+#: A smaller part of the sphere is not told in figures.
+_LEAST_PERCENT = 0.001
 
 
 class _Differences:
@@ -42,9 +45,14 @@ class _Differences:
 
 
 class Tally:
-    """What became of the pixels of a map of `height` rows."""
+    """What became of the pixels of a map of `height` rows.
 
-    def __init__(self, method: Method, space: RGBSpace, height: int) -> None:
+    `photographed`: its lost pixels were clipped; `reported`: a report is made, and shows where they are.
+    """
+
+    def __init__(
+        self, method: Method, space: RGBSpace, height: int, *, photographed: bool = False, reported: bool = False
+    ) -> None:
         from uplift.pixels import Status
 
         self._method, self._space, self._height = method, space, height
@@ -52,7 +60,9 @@ class Tally:
         self._weights = dict.fromkeys(Status, 0.0)
         self._differences = {kind: _Differences() for kind in (Status.EXACT, Status.FALLBACK, Status.CLOSEST)}
         self._stored = _Differences()
-        self._darkened = self._visited = self._row = 0
+        self._darkened = self._visited = self._row = self._negative = 0
+        self._photographed, self._reported = photographed, reported
+        self._first: dict[Status, list[tuple[int, int]]] = {Status.CLOSEST: [], Status.MISSING: []}
 
     def add(self, rgb: Image, solved: Solution) -> None:
         """Take the next tile from the top into account."""
@@ -60,6 +70,10 @@ class Tally:
         from uplift.pixels import Status
 
         rows = self._row + np.arange(len(rgb))
+        for status, places in self._first.items():
+            if solved.counts[status] and len(places) < NAMED:
+                found = np.argwhere(solved.status == status)[: NAMED - len(places)]
+                places += [(self._row + int(row), int(column)) for row, column in found]
         self._row += len(rgb)
         solid_angle = np.sin(np.pi * (rows + 0.5) / self._height)
         for status, count in solved.counts.items():
@@ -73,6 +87,8 @@ class Tally:
                 continue
             chosen = solved.status == status
             asked = rgb[chosen].astype(np.float64)
+            if status == Status.CLOSEST:
+                self._negative += int((asked < 0).any(axis=-1).sum())
             differences.add(delta_e_2000(asked, solved.rgb(chosen, stored=False), self._space))
             if status != Status.CLOSEST:
                 self._stored.add(delta_e_2000(asked, solved.rgb(chosen, stored=True), self._space))
@@ -108,30 +124,45 @@ class Tally:
         from uplift.pixels import Status
 
         def of(status: Status) -> str:
+            count, places = self._counts[status], self._first.get(status, [])
+            where = places_told(places, count) if places else ""
+            if count == 1:
+                return f"1 pixel ({where})" if where else "1 pixel"
             share = 100 * self._weights[status] / sphere
-            return f"{self._counts[status]} of {pixels} pixels ({share:.2g} % of the sphere)"
+            told = f"{share:.2g}" if share >= _LEAST_PERCENT else f"under {_LEAST_PERCENT:g}"
+            return f"{count} of {pixels} pixels ({told} % of the sphere{f'; {where}' if where else ''})"
 
         warnings = []
         if self._counts[Status.FALLBACK]:
-            warnings.append(f"{of(Status.FALLBACK)} {self._method.fallback}.")
+            warnings.append(f"{of(Status.FALLBACK)}: {self._method.fallback}.")
         if self._counts[Status.CLOSEST]:
-            shift = self._differences[Status.CLOSEST].figures()
-            dark = f", and {self._darkened} of them, of negative luminance, became black" if self._darkened else ""
-            warnings.append(
-                f"{of(Status.CLOSEST)} {self._method.closest}; they moved by ΔE2000 {shift['mean']:.3g} on average and up "
-                f"to {shift['max']:.3g}{dark}. {self._method.advice}"
-            )
+            warnings.append(f"{of(Status.CLOSEST)}: {self._method.closest}; {self._moved()}. {self._method.advice}")
+            if self._reported:
+                warnings[-1] += " The report shows where they are."
         if self._stored.visible:
             warnings.append(
                 f"{self._stored.visible} of {pixels} pixels of very pure colours lose some of it in the file's 32 bits: up to "
                 f"ΔE2000 {self._stored.largest:.2g}."
             )
         if self._counts[Status.MISSING]:
-            warnings.append(
-                f"{of(Status.MISSING)} are missing (clipped in every frame) and have no radiance: they are black holes in "
-                f"the light. Add a shorter exposure to the bracket."
-            )
+            why, remedy = "NaN or infinite in the file", "Repaint the map there, or write it again"
+            if self._photographed:
+                why, remedy = "missing (clipped in every frame)", "Add a shorter exposure to the bracket"
+            warnings.append(f"{of(Status.MISSING)}: {why}, without radiance: black holes in the light. {remedy}.")
         return warnings
+
+    def _moved(self) -> str:
+        """How far the colours that no light can show were moved, and how many were not even colours."""
+        from uplift.pixels import Status
+
+        shift, count = self._differences[Status.CLOSEST].figures(), self._counts[Status.CLOSEST]
+        if count == 1:
+            told = f"moved by ΔE2000 {shift['max']:.3g}"
+            told += ", from a negative component" if self._negative else ""
+            return told + (", and black now, as its luminance was negative" if self._darkened else "")
+        told = f"moved by ΔE2000 {shift['mean']:.3g} on average and up to {shift['max']:.3g}"
+        told += f"; {self._negative} of them have negative components" if self._negative else ""
+        return told + (f", and {self._darkened} of them, of negative luminance, became black" if self._darkened else "")
 
 
 def _named(by_status: Mapping[Status, Any]) -> dict[str, Any]:
