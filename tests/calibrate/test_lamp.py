@@ -297,6 +297,7 @@ def calibrated(rgb, *, latlong=False):
     return apply_matrix(corrected, gains), chart, fit, lamp
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", ["A", "D65"])
 def test_a_photograph_of_chart_and_module_is_calibrated_from_end_to_end(light):
     from samples.chart_view import chart_view

@@ -115,8 +115,9 @@ def test_the_lattice_does_with_blue_under_a_warm_lamp_what_the_paper_does(files)
     assert planes["scale"][0, 0] == planes["scale"][8, 9] == 0
     assert np.isfinite(planes["u"]).all()
     warnings = " ".join(told["lattice"]["warnings"])
-    assert "keep their colour in that of D65" in warnings
-    assert "nearest colour; they moved by ΔE2000" in warnings
+    assert "their colour is kept in that of D65" in warnings
+    assert "given its nearest colour" in warnings
+    assert "moved by ΔE2000" in warnings
     assert told["lattice"]["figures"]["cells_visited"] >= 1
 
 

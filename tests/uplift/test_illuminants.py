@@ -72,6 +72,7 @@ def test_the_d_series_is_that_of_colour_science(nominal):
     np.testing.assert_allclose(d_series(nominal, OBSERVER), theirs, rtol=1e-3)  # they round M1 and M2 in one place
 
 
+@pytest.mark.slow
 def test_families_change_smoothly_with_cct():
     for family, low, high in (("daylight", 5000, 25_000), ("smooth", 2000, 25_000), ("sunset", 2200, 5000)):
         steps = np.geomspace(low, high, 120)

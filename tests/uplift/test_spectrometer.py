@@ -281,6 +281,7 @@ def test_a_spectrum_that_is_sure_is_followed_and_one_that_is_not_less():
     assert shares[0] == 1.0 > shares[1]
 
 
+@pytest.mark.slow
 def test_what_is_used_is_the_trusted_share_of_what_was_measured():
     noisy = read(illuminant("LED-B3", EYES), noise=0.1)
     found = measure_light(noisy, camera=None, observer=EYES)
