@@ -29,8 +29,8 @@ from calibrate import CalibrateError
 LARGEST_ERROR = 0.01
 #: What a warning says that doubts which object it is.
 DOUBTS = ("another region", "may not be the lamp")
-#: The search was tuned on seeds from 100000 on; figures are those of seeds from 0 on.
-FIRST_SEED = 0
+#: The search was chosen with seeds from 100000 on and a look at some from 0 on and from 1000 on; those from here on are new to it.
+FIRST_SEED = 2000
 
 Float64 = npt.NDArray[np.float64]
 
