@@ -23,19 +23,6 @@ def refuse_own_input(out: Path, inputs: Iterable[Path | None], *, beside: Iterab
                 )
 
 
-def refuse_input_in_folder(folder: Path, names: Iterable[str], source: Path) -> None:
-    """Refuse a folder in which a file of one of the `names` (`*` for anything) would replace the input `source`."""
-    if not source.exists():
-        return
-    for name in names:
-        for written in folder.glob(name) if folder.is_dir() else ():
-            if _same(written, source):
-                raise EnvcalError(
-                    f"{folder}: a file {written.name} is written there, and it is the input{_named(written, source)}. Give "
-                    f"another folder to -o."
-                )
-
-
 def _same(one: Path, other: Path) -> bool:
     """Whether two names are those of one file: also through `..`, links, and other case where the disk ignores it."""
     try:

@@ -8,15 +8,6 @@ import click
 
 from envcal.cli.group import main
 from envcal.cli.options import FILE, SPACES, finish, json_option
-from envcal.cli.overwriting import refuse_input_in_folder
-
-#: What `envcal mitsuba`, and the render.py it writes, leave in their folder, and what `envcal export` does, of EXR files.
-SCENE_FILES = ("map_rgb.exr", "uplift.exr", "scaled.exr", "render_uplift.exr", "render_scaled.exr")
-EXPORTED_FILES = {
-    "rgb": ("environment_*.exr",),
-    "pbrt": ("light[0-9]*.exr",),
-    "basis": ("light[0-9]*.exr", "blank.exr"),
-}
 
 
 def _size(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[int, int] | None:
@@ -53,7 +44,6 @@ def mitsuba(
     from envcal.reporter import Reporter
     from envcal.scene.make import make_scene
 
-    refuse_input_in_folder(folder, SCENE_FILES, uplift_path)
     with Reporter().progress("mitsuba") as progress:
         outcome = make_scene(
             uplift_path, folder, size=size, spp=spp, variant=variant, render=not no_render, progress=progress
@@ -82,7 +72,6 @@ def export(uplift_path: Path, folder: Path, form: str, space: str | None, half: 
         raise click.UsageError("--space belongs to --to rgb; pbrt gets linear Rec. 2020, basis gets coefficients.")
     if half and form == "basis":
         raise click.UsageError("--half belongs to colours; coefficients need full floats.")
-    refuse_input_in_folder(folder, EXPORTED_FILES[form], uplift_path)
     with Reporter().progress("export") as progress:
         if form == "rgb":
             from envcal.export.rgb import export_rgb

@@ -69,26 +69,6 @@ def test_what_is_written_beside_the_output_falls_on_no_input_either(studio):
     assert f"{patches}: is written beside" in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("command", "name"),
-    [
-        (("mitsuba", "--no-render"), "uplift.exr"),
-        (("mitsuba",), "map_rgb.exr"),
-        (("export", "--to", "rgb"), "environment_acescg.exr"),
-        (("export", "--to", "pbrt"), "light0.exr"),
-        (("export", "--to", "basis"), "blank.exr"),
-    ],
-)
-def test_a_folder_in_which_the_uplift_would_be_replaced_is_refused(studio, command, name):
-    uplift = studio.rename(studio.with_name(name))
-    before = uplift.read_bytes()
-    done = envcal(*command, uplift, "-o", uplift.parent)
-    assert done.exit_code == 1
-    assert f"a file {name} is written there, and it is the input" in done.stderr
-    assert [path.name for path in uplift.parent.iterdir()] == [name]
-    assert uplift.read_bytes() == before
-
-
 def test_another_file_of_the_outputs_name_may_be_replaced(studio):
     (studio.parent / "out.exr").write_bytes(b"of an earlier run")
     done = envcal("cluster", studio, "-o", studio.parent / "out.exr")
