@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calibrate import CalibrateError
-from calibrate.correct import least_squares
+from calibrate.correct.model import least_squares
 
 Floats = npt.NDArray[np.float64]
 
