@@ -16,7 +16,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from benchmarks.spectrometer import held_out, kinds, refusals
+from benchmarks.spectrometer import held_out, kinds, odd_cameras, refusals
 from benchmarks.spectrometer.lamps import houser, left_out_lamps, measured_leds, natural, spread
 from benchmarks.spectrometer.readings import cameras
 from benchmarks.spectrometer.relight import relights
@@ -31,7 +31,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--each", type=int, default=2, help="cameras for each lamp of the relight test (default 2)")
     parser.add_argument("--every", type=int, default=1, help="take every n-th lamp only")
     parser.add_argument(
-        "--only", choices=("relight", "kinds", "kinds-unknown", "held-out", "refusals"), help="measure this alone"
+        "--only",
+        choices=("relight", "kinds", "kinds-unknown", "held-out", "refusals", "odd-cameras"),
+        help="measure this alone",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
     chosen = parser.parse_args(arguments)
@@ -56,6 +58,8 @@ def main(arguments: list[str] | None = None) -> int:
         figures["held_out"] = held_out.held_out(held_out.measured(everything, numbers, curves))
     if chosen.only == "refusals":
         figures["refusals"] = refusals.named(curves, numbers[1:7:5])
+    if chosen.only == "odd-cameras":
+        figures["odd_cameras"] = odd_cameras.odd_cameras(folder, odd_cameras.one_of_each(fresh), curves)
     print(report(figures))
     if chosen.json:
         chosen.json.write_text(json.dumps(figures, indent=1), encoding="utf-8")

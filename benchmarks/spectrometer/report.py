@@ -28,6 +28,12 @@ def report(figures: dict[str, Any]) -> str:
         lines += _held_out(figures["held_out"])
     for case, (rightly, count) in figures.get("refusals", {}).items():
         lines.append(f"refusal of {case}: named rightly {rightly} of {count}")
+    for change, own in figures.get("odd_cameras", {}).items():
+        ratios = np.array(own["ratios"])
+        lines.append(
+            f"camera {change}: {ratios.size} readings, {sum(own['refused'].values())} refused {own['refused'] or ''}, relight error ÷ that "
+            f"of the scaled uplift {gmean(ratios):.3f}, worst {ratios.max():.2f}, above {HARM}: {(ratios > HARM).sum()}"
+        )
     return "\n".join(lines)
 
 
