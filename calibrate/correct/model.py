@@ -8,8 +8,8 @@ what the matrix misses of the camera: under a light of 2000 K a fall-off of 4 % 
 with a root-polynomial, which misses half as much, and the matrix then in that light. Both scale with the light, so that a fall-off, however
 strong, changes the estimate by itself and nothing else. Mean error of the recovered CCT of the chart's light in %, over 52
 cameras and an ideal D65 lamp, for even light assumed / the plane with the matrix / with the root-polynomial:
-illuminant A 2.6 / 1.9 / 2.2, LED-B3 1.6 / 1.6 / 1.6, FL2 3.0 / 2.9 / 3.0, 2000 K 1.7 / 2.6 / 1.6; with a fall-off of 20 % the first of them grows
-to several times that, the others stay. A Luther camera is recovered exactly either way.
+illuminant A 2.6 / 1.9 / 2.2, LED-B3 1.6 / 1.6 / 1.6, FL2 3.0 / 2.9 / 3.0, 2000 K 1.7 / 2.6 / 1.6. With a fall-off of 20 % across the
+chart the first becomes 4.1 under illuminant A and 14 under 2000 K, the others stay. A Luther camera is recovered exactly either way.
 
 Weights: ``"linear"``, w = 1, counts radiance; ``"lightness"``, w = Y^(−4/3), counts an error as CIELAB does (its cube root has the
 slope Y^(−2/3)) and is steadier without the plane, but leaves 4–5 % in the CCT of warm lights where ``"linear"`` leaves 2. All rows
