@@ -4,7 +4,7 @@
 CIEDE2000, each left out once).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -121,23 +121,15 @@ def fit_matrix(
     held = np.zeros(len(camera), dtype=np.bool_)
     if white_preserving:
         held[WHITE_PATCH if white == "patch" else _NEUTRAL_PATCHES] = True
-    fits = {}
-    for kind in ("linear", "root-polynomial") if model == "auto" else (model,):
-        problem = ChartFit(
-            camera=camera,
-            terms=camera if kind == "linear" else root_terms(camera),
-            target=xyz,
-            weights=xyz[:, 1] ** (-4 / 3) if weighting == "lightness" else np.ones(len(xyz)),
-            held=held,
-            places=PLACES if shading == "plane" else np.zeros((len(camera), 0)),
-        )
-        fits[kind] = _judged(problem, reference.names, leave_out=spoilt == "leave out")
-    taken: Literal["linear", "root-polynomial"] = "root-polynomial" if model == "root-polynomial" else "linear"
-    if model == "auto" and fits["root-polynomial"].delta_e_loo.mean() < (
-        _CLEARLY_BETTER * fits["linear"].delta_e_loo.mean()
-    ):
-        taken = "root-polynomial"
-    best = fits[taken]
+    linear = ChartFit(
+        camera=camera,
+        terms=camera,
+        target=xyz,
+        weights=xyz[:, 1] ** (-4 / 3) if weighting == "lightness" else np.ones(len(xyz)),
+        held=held,
+        places=PLACES if shading == "plane" else np.zeros((len(camera), 0)),
+    )
+    best = _best(linear, model, reference.names, leave_out=spoilt == "leave out")
     rgb = np.asarray(rgb_from_xyz, dtype=np.float64)
     matrix = rgb @ best.matrix
     return ColourFit(
@@ -150,13 +142,24 @@ def fit_matrix(
         names=reference.names,
         white_preserved=white if white_preserving else "none",
         left_out=best.left_out,
-        model=taken,
+        model="linear" if matrix.shape[1] == 3 else "root-polynomial",
         warnings=(
             *spoilt_warnings(best.left_out, reference.names),
             *_doubts(best.light),
             *_verdict(best.delta_e[~best.left_out]),
         ),
     )
+
+
+def _best(linear: ChartFit, model: str, names: tuple[str, ...], *, leave_out: bool) -> _Judged:
+    """Fit the model asked for; for ``"auto"`` both, and take the better one."""
+    if model == "linear":
+        return _judged(linear, names, leave_out=leave_out)
+    roots = _judged(replace(linear, terms=root_terms(linear.camera)), names, leave_out=leave_out)
+    if model == "root-polynomial":
+        return roots
+    plain = _judged(linear, names, leave_out=leave_out)
+    return roots if roots.delta_e_loo.mean() < _CLEARLY_BETTER * plain.delta_e_loo.mean() else plain
 
 
 def _judged(problem: ChartFit, names: tuple[str, ...], *, leave_out: bool) -> _Judged:
