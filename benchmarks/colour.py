@@ -9,6 +9,7 @@ left is the camera's and the fit's alone. 380–780 nm by 5 nm, CIE 1931 2°.
 1. **Fit**: mean CIEDE2000 of the patches, each predicted by a fit without it, and trained; by light, model and settings.
 2. **Lamp**: relative error of the colour temperature (Ohno 2013) of the light on the chart after an ideal D65 lamp in the
    same light was balanced: by the chart's matrix and each adaptation, and by the sensitivities with the lamp first.
+3. **Fall-off**: the same in CAT16 where the light falls by 20 % from one side of the chart to the other, and the fit knows of it or not.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import numpy.typing as npt
 from calibrate.adapt import von_kries_matrix
 from calibrate.chart import ChartReference, chart_reference
 from calibrate.correct import fit_matrix
+from calibrate.correct.model import PLACES
 from calibrate.trained import matrix_of_sensitivities
 from uplift.cct import cct_duv, planck
 from uplift.spectrum import illuminant, observer
@@ -35,6 +37,7 @@ EYES = observer()
 TRANSFORMS = ("CAT16", "Bradford", "CAT02", "XYZ Scaling")
 WARM_OR_LINES = ("A", "2000 K", "LED-B3", "LED-B5", "FL2")
 SMOOTH = ("A", "2000 K", "3000 K", "4000 K", "D50", "D55", "D75", "LED-B1", "LED-B3")
+FALL_OFF = 0.2
 FITS: dict[str, dict[str, Any]] = {
     "3×3, as it is by default": {},
     "3×3, even light": {"shading": "none"},
@@ -87,13 +90,20 @@ def differences(cameras: Floats, reflectances: Floats, name: str, settings: dict
     return np.array(pairs)
 
 
-def errors_by_chart(cameras: Floats, reflectances: Floats, name: str) -> dict[str, Floats]:
-    """Return relative errors [M] of the colour temperature of the chart's light, by adaptation, of fits by default."""
+def errors_by_chart(
+    cameras: Floats, reflectances: Floats, name: str, *, falls_by: float = 0.0, **settings: Any
+) -> dict[str, Floats]:
+    """Return relative errors [M] of the colour temperature of the chart's light, by adaptation, of fits with `settings`.
+
+    The light falls by the part `falls_by` from the left of the chart to the right.
+    """
     reference, lamp, spectrum = true_reference(reflectances), light("D65"), light(name)
     truth, white = cct(spectrum @ EYES.cmfs), lamp @ EYES.cmfs
+    on_patches = (1.0 - falls_by) ** PLACES[:, :1]
     errors: dict[str, list[float]] = {transform: [] for transform in TRANSFORMS}
     for sensitivities in cameras:
-        fit = fit_matrix(reflectances * spectrum @ sensitivities, reference, rgb_from_xyz=np.eye(3))
+        seen = on_patches * (reflectances * spectrum @ sensitivities)
+        fit = fit_matrix(seen, reference, rgb_from_xyz=np.eye(3), **settings)
         for transform in TRANSFORMS:
             source = fit.matrix @ (lamp @ sensitivities)
             adapted = von_kries_matrix(source, white, xyz_from_rgb=np.eye(3), transform=transform)
@@ -134,26 +144,47 @@ def main(arguments: list[str] | None = None) -> int:
         print("camera_sensitivities.npz: expected 380–780 nm by 5 nm", file=sys.stderr)
         return 1
     cameras, reflectances = np.asarray(data["ssf"], dtype=np.float64), chart()
-    cameras = cameras[:: max(given.every, 1)]
-    figures: dict[str, Any] = {"cameras": len(cameras), "fit": {}, "light by chart": {}, "light by sensitivities": {}}
+    figures = measured(cameras[:: max(given.every, 1)], reflectances)
+    if given.json:
+        given.json.write_text(json.dumps(figures, indent=1), encoding="utf-8")
+    return 0
+
+
+def measured(cameras: Floats, reflectances: Floats) -> dict[str, Any]:
+    """Return the figures of cameras [M, 81, 3] and a chart [24, 81], printing each as it comes."""
+    figures: dict[str, Any] = {"cameras": len(cameras)}
     print(f"{len(cameras)} cameras\n\nmean ΔE2000 of the patches: trained / each left out (worst camera)")
     for name in ("D65", "A"):
         for what, settings in FITS.items():
             pairs = differences(cameras, reflectances, name, settings)
             trained, unseen = (float(mean) for mean in pairs.mean(axis=0))
             print(f"  {name:4} {what:40} {trained:.2f} / {unseen:.2f} ({pairs[:, 1].max():.2f})", flush=True)
-            figures["fit"].setdefault(name, {})[what] = {"trained": trained, "left_out": unseen}
+            figures.setdefault("fit", {}).setdefault(name, {})[what] = {"trained": trained, "left_out": unseen}
     print("\nerror of the colour temperature of the chart's light after the lamp balance, %: mean (largest)")
     for name in WARM_OR_LINES:
-        ways = {way: np.abs(errors) for way, errors in errors_by_chart(cameras, reflectances, name).items()}
-        shown = "  ".join(f"{way} {100 * v.mean():.1f} ({100 * v.max():.1f})" for way, v in ways.items())
+        errors = errors_by_chart(cameras, reflectances, name)
+        shown = "  ".join(f"{way} {_percent(values)}" for way, values in errors.items())
         print(f"  {name:8} {shown}", flush=True)
-        figures["light by chart"][name] = {way: float(values.mean()) for way, values in ways.items()}
+        figures.setdefault("light by chart", {})[name] = {way: _mean(values) for way, values in errors.items()}
     print("\nthe same by sensitivities, the lamp first")
     for name in (*SMOOTH, *(line for line in WARM_OR_LINES if line not in SMOOTH)):
-        values = np.abs(errors_by_sensitivities(cameras, name))
-        print(f"  {name:8} {100 * values.mean():.1f} ({100 * values.max():.1f})", flush=True)
-        figures["light by sensitivities"][name] = float(values.mean())
-    if given.json:
-        given.json.write_text(json.dumps(figures, indent=1), encoding="utf-8")
-    return 0
+        values = errors_by_sensitivities(cameras, name)
+        print(f"  {name:8} {_percent(values)}", flush=True)
+        figures.setdefault("light by sensitivities", {})[name] = _mean(values)
+    print(f"\nthe same by the chart in CAT16, the light falling by {FALL_OFF:.0%} across the chart")
+    for name in WARM_OR_LINES[:2]:
+        for shading in ("plane", "none"):
+            falling = errors_by_chart(cameras, reflectances, name, falls_by=FALL_OFF, shading=shading, spoilt="keep")[
+                "CAT16"
+            ]
+            print(f"  {name:8} shading {shading:6} {_percent(falling)}", flush=True)
+            figures.setdefault("fall-off", {}).setdefault(name, {})[shading] = _mean(falling)
+    return figures
+
+
+def _mean(errors: Floats) -> float:
+    return float(np.abs(errors).mean())
+
+
+def _percent(errors: Floats) -> str:
+    return f"{100 * _mean(errors):.2f} ({100 * np.abs(errors).max():.1f})"

@@ -3,7 +3,7 @@
 Where the sensitivities are known, nothing has to be learned from a chart in one light: the matrix is fitted to the products
 of measured reflectances and lights of many colour temperatures, and the lamp's reading fixes the gain of each channel before
 the matrix. So a light whose kind does not fall on the chart is as good as one that does. Measured, mean error of the CCT of the
-chart's light in %, 52 cameras, ideal D65 lamp, chart and CAT16 / this: illuminant A 2.7 / 0.5, LED-B1 2.4 / 1.4, LED-B3 1.6 /
+chart's light in %, 52 cameras, ideal D65 lamp, chart and CAT16 / this: illuminant A 2.2 / 0.5, 2000 K 1.6 / 0.1, LED-B3 1.6 /
 1.7, LED-B5 4.1 / 3.9, FL2 3.0 / 2.4.
 
 Reflectances are those colour-science carries: the 99 samples of CIE 224:2017, and four measured sets of charts. Lights are
@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calibrate import CalibrateError
-from calibrate.correct import least_squares
+from calibrate.correct.model import least_squares
 
 Floats = npt.NDArray[np.float64]
 

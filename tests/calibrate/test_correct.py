@@ -64,12 +64,17 @@ def test_leave_one_out_is_a_fit_without_that_patch(reference):
     assert fit.delta_e_loo[7] == pytest.approx(expected, abs=1e-6)
 
 
+MIXED = np.array([[0.3, 0.1, 0.0], [0.0, 2.0, 0.2], [0.1, 0.0, 40.0]])
+
+
 @pytest.mark.parametrize("white_preserving", [False, True])
-def test_gains_of_the_camera_and_the_exposure_leave_the_result_unchanged(reference, white_preserving):
+@pytest.mark.parametrize(("shading", "changed"), [("plane", np.diag([0.3, 2.0, 40.0])), ("none", MIXED)])
+def test_gains_of_the_camera_and_the_exposure_leave_the_result_unchanged(reference, white_preserving, shading, changed):
+    # Without a plane even channels that are mixed do; the plane comes from roots, which mean another thing in other channels.
     camera = patch_colours("A")
-    mixed = camera @ np.array([[0.3, 0.1, 0.0], [0.0, 2.0, 0.2], [0.1, 0.0, 40.0]])
     one, other = (
-        fit_matrix(c, reference, rgb_from_xyz=RGB_FROM_XYZ, white_preserving=white_preserving) for c in (camera, mixed)
+        fit_matrix(c, reference, rgb_from_xyz=RGB_FROM_XYZ, white_preserving=white_preserving, shading=shading)
+        for c in (camera, camera @ changed)
     )
     np.testing.assert_allclose(one.fitted_rgb, other.fitted_rgb, atol=ROUNDING)
     np.testing.assert_allclose(one.delta_e_loo, other.delta_e_loo, atol=1e-6)
@@ -98,6 +103,13 @@ def test_light_that_falls_off_across_the_chart_is_told_from_the_camera(reference
     plain = fit_matrix(camera * light[:, None], reference, rgb_from_xyz=RGB_FROM_XYZ, shading="none")
     assert plain.delta_e.mean() > even.delta_e.mean()
     assert (plain.shading == 1).all()
+
+
+@pytest.mark.parametrize("light", ["A", "LED-B3"])
+def test_what_a_matrix_misses_of_a_camera_is_hardly_taken_for_a_fall_off(reference, light):
+    # A plane fitted together with the matrix reads 2.5 % of fall-off into illuminant A.
+    shading = fit_matrix(patch_colours(light), reference, rgb_from_xyz=RGB_FROM_XYZ).shading.reshape(4, 6)
+    assert shading[:, -1].mean() / shading[:, 0].mean() == pytest.approx(1, abs=0.015)
 
 
 def test_a_chart_half_in_shadow_is_warned_about(reference):

@@ -1,6 +1,7 @@
 """The chart as a spectrometer: lamps that the prior does not know come back, and what is no single light is refused."""
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from uplift.spectrometer.chart import covariance, responses
 from uplift.spectrometer.lamps import PUBLISHED, lamps, planck, published
 from uplift.spectrometer.posterior import posterior
 from uplift.spectrometer.prior import Prior, prior_of
-from uplift.spectrometer.safety import relight_losses, smooth_of_colour, trusted
+from uplift.spectrometer.refusal import believed
+from uplift.spectrometer.safety import HARDLY, MOST_UNKNOWN, relight_losses, smooth_of_colour, trusted
 from uplift.spectrum import illuminant, normalised, observer, xyz_of
 
 EYES = observer()
@@ -227,14 +229,37 @@ def test_the_sensitivities_of_another_camera_are_refused_and_named():
     )
 
 
+def moved(by_nm):
+    """The camera with its sensitivities so much farther towards red."""
+    return np.stack([np.interp(NM - by_nm, NM, camera()[:, c]) for c in range(3)], axis=-1)
+
+
+def test_a_camera_that_is_hardly_unlike_the_others_is_read_but_believed_less():
+    light = illuminant("LED-B3", EYES)
+    like, hardly = (measure_light(read(light, curves=moved(by)), camera=None, observer=EYES) for by in (6.0, 10.0))
+    assert like.refused == hardly.refused == ""
+    assert hardly.camera_loss > 2 * like.camera_loss
+    assert hardly.trusted < like.trusted <= MOST_UNKNOWN
+
+
+def test_the_more_probable_fit_is_believed_unless_nothing_explains_the_reading():
+    def a_fit(chi2, evidence):
+        return SimpleNamespace(chi2=chi2, posterior=SimpleNamespace(log_evidence=evidence))
+
+    usual, better, worse, bad = a_fit(1.0, 5.0), a_fit(0.5, 6.0), a_fit(0.5, 4.0), a_fit(9.0, 5.0)
+    assert believed(usual, better) is better
+    assert believed(usual, worse) is usual
+    assert believed(usual, None) is usual
+    assert believed(bad, better) is bad
+
+
 @pytest.mark.slow
 def test_a_camera_unlike_all_others_is_refused_and_named_whether_or_not_its_light_seems_to_fit():
     told = "the camera's sensitivities are unlike those of the cameras known here"
     text = refused(read(illuminant("LED-B3", EYES), curves=narrow_camera()))
     assert "no light explains the patches" in text and told in text and "`balance.camera`" in text
-    shifted = np.stack([np.interp(NM - 15.0, NM, camera()[:, c]) for c in range(3)], axis=-1)
-    text = refused(read(illuminant("LED-B3", EYES), curves=shifted))
-    assert text.startswith(told) and "`balance.camera`" in text
+    text = refused(read(illuminant("LED-B3", EYES), curves=moved(15.0)))
+    assert told in text and "`balance.camera`" in text
     assert refused(read(illuminant("LED-B3", EYES))) == ""
 
 
@@ -279,6 +304,19 @@ def test_a_spectrum_that_is_sure_is_followed_and_one_that_is_not_less():
         np.testing.assert_allclose(xyz_of(used, EYES), xyz_of(light, EYES), rtol=1e-9)
         shares.append(share)
     assert shares[0] == 1.0 > shares[1]
+
+
+def test_no_more_is_followed_than_the_most_that_is_allowed():
+    light, sure = illuminant("FL11", EYES), 1e-12 * np.eye(NM.size)
+    used, share = trusted(light, sure, chart_reflectances(EYES), EYES, most=0.85)
+    assert share == 0.85
+    np.testing.assert_allclose(used, 0.85 * light + 0.15 * smooth_of_colour(light, EYES), rtol=1e-9)
+
+
+def test_a_spectrum_that_suits_the_uplift_badly_is_hardly_followed_though_it_is_sure():
+    # A daylight tube: its own spectrum relights no better than D65 does.
+    light, sure = illuminant("FL7", EYES), 1e-12 * np.eye(NM.size)
+    assert trusted(light, sure, chart_reflectances(EYES), EYES)[1] <= HARDLY
 
 
 @pytest.mark.slow

@@ -20,10 +20,7 @@ from uplift.spectrum import Observer, illuminant
 
 KNOWN_ROUNDS, UNKNOWN_ROUNDS = 2, 7
 DAMPING = 0.7
-#: A camera is unlike those of the model if so many times what the model misses explains the reading better. Over 148 readings of
-#: 74 lamps by 11 cameras, each left out of the model, that held for all 13 of one camera (a cinema camera, ARRI D21, whose
-#: spectra would have made a map 2.6 times as wrong as without them) and for 1 of 135 of the others. One more, a Nikon D850, is
-#: refused every second time without need: its spectra are as near as others'.
+#: How many times what the model of cameras misses may be larger for a camera unlike those of the model.
 UNUSUAL = 5.0
 
 
@@ -46,7 +43,7 @@ class Fit:
 
 
 #: What else may be in the readings, as vectors [J, 72] of one standard deviation, from A [72, N] and the light [N].
-More = Callable[[Floats, Floats], Floats]
+More = Callable[[Floats, Floats, Observer], Floats]
 
 
 def fit(
@@ -68,7 +65,7 @@ def fit(
     A = responses(reflectances, camera, observer.step_nm)
     light = _start(reading, A, observer)
     for turn in range(KNOWN_ROUNDS):
-        errors = covariance(reading, A, light, observer) + _errors_of(more, A, light)
+        errors = covariance(reading, A, light, observer) + _errors_of(more, A, light, observer)
         found = posterior(reading.flat, A, errors, prior, positive=turn == KNOWN_ROUNDS - 1)
         light = found.light
     return _judged(reading.flat, A, errors, found, camera)
@@ -91,7 +88,7 @@ def _unknown(
         curves = model.curves(amounts)
         A = responses(reflectances, curves, observer.step_nm)
         J = np.stack([responses(reflectances, d, observer.step_nm) @ light for d in model.directions], axis=1)
-        fixed = covariance(reading, A, light, observer) + _errors_of(more, A, light)
+        fixed = covariance(reading, A, light, observer) + _errors_of(more, A, light, observer)
         errors = fixed + times**2 * _left_over(reflectances, light, curves, model, observer) + J @ J.T
         seen = reading.flat + J @ amounts
         found = posterior(seen, A, errors, prior, positive=turn == UNKNOWN_ROUNDS - 1)
@@ -101,10 +98,10 @@ def _unknown(
     return replace(_judged(seen, A, errors, found, model), explained=explained, fixed_camera=fixed)
 
 
-def _errors_of(more: More | None, A: Floats, light: Floats) -> Floats | float:
+def _errors_of(more: More | None, A: Floats, light: Floats, observer: Observer) -> Floats | float:
     if more is None:
         return 0.0
-    parts = more(A, light)
+    parts = more(A, light, observer)
     return np.asarray(parts.T @ parts)
 
 

@@ -1,13 +1,14 @@
 """From a chart's raw values to the spectrum of the light on it, with what can be said against it.
 
-A spectrum that is not sure is followed only in part (`safety`), and what no single light explains is refused (`refusal`).
+A spectrum that is not sure is followed only in part (`safety`), and what no single light explains is refused (`refusal`). An unknown
+camera is fitted twice, the second time with more freedom, and the more probable fit is believed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -20,8 +21,8 @@ from uplift.spectrometer.fit import Fit, fit
 from uplift.spectrometer.lamps import FAMILIES
 from uplift.spectrometer.posterior import Floats, posterior
 from uplift.spectrometer.prior import Prior, prior_of
-from uplift.spectrometer.refusal import refusal
-from uplift.spectrometer.safety import trusted
+from uplift.spectrometer.refusal import believed, refusal
+from uplift.spectrometer.safety import MOST_UNKNOWN, trusted
 from uplift.spectrum import Observer, normalised, xyz_of
 
 _BASE = "BabelColor Average"
@@ -114,7 +115,10 @@ def measure_light(
         model = model.anchored_to(anchor, observer)
     unknown = camera is None or isinstance(camera, CameraModel)
     instrument = model if unknown else anchored(np.asarray(camera, np.float64), observer, anchor)
-    found = fit(reading, surfaces, instrument, known, observer)
+    again = partial(fit, reading, surfaces, prior=known, observer=observer)
+    usual = again(instrument)
+    wide = again(model, unusual=True) if unknown else None
+    found = believed(usual, wide)
     light = found.posterior.light
     if light @ observer.cmfs[:, 1] <= 0:
         raise UpliftError("chart: no light explains the patches' values; check where the chart was found")
@@ -122,8 +126,7 @@ def measure_light(
     emission = normalised(light, observer)
     spread = found.posterior.covariance * unit**2
     cct, duv, cct_sigma, duv_sigma = _colour(emission, spread, observer)
-    used, share = trusted(emission, spread, surfaces, observer)
-    wide = fit(reading, surfaces, model, known, observer, unusual=True) if unknown else None
+    used, share = trusted(emission, spread, surfaces, observer, most=MOST_UNKNOWN if unknown else 1.0)
     return MeasuredLight(
         emission=used,
         measured=emission,
@@ -134,7 +137,7 @@ def measure_light(
         duv_sigma=duv_sigma,
         families={name: float(found.posterior.families[k]) for k, name in enumerate(FAMILIES)},
         chi2=found.chi2,
-        refused=refusal(reading, surfaces, found, known, observer, others=model, wide=wide),
+        refused=refusal(usual, others=model, wide=wide, again=again),
         camera_loss=_loss(found, known),
         trusted=share,
         explained=found.explained.reshape(24, 3),

@@ -3,18 +3,21 @@
 A fit is refused where it does not explain the reading: chi² per degree of freedom above `MOST_CHI2`. Then likely reasons are
 tried one after the other, each as some more freedom in the model, and the most probable of those that explain the reading
 is named. Below that limit two things still betray themselves: a light that changes across the chart, by a misfit that is ordered
-across it, and a camera unlike all others, by a model of cameras that is more probable if it may miss more.
+across it, and a camera unlike all others, by a model of cameras that is more probable if it may miss more. If it is hardly more
+probable, the light is that of the model that may miss more, which knows that it is less sure; if it is by far, there is no knowing
+how far off the camera is.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from uplift.spectrometer.camera import CameraModel
-from uplift.spectrometer.chart import COLUMNS, WHITE, Reading
-from uplift.spectrometer.fit import Fit, fit
+from uplift.spectrometer.chart import COLUMNS, WHITE
+from uplift.spectrometer.fit import Fit
 from uplift.spectrometer.posterior import Floats
-from uplift.spectrometer.prior import Prior
 from uplift.spectrum import Observer
 
 #: Over 320 lamps unknown to the prior and 10 cameras at 1 % noise the largest was 1.02 with a known camera, over 74 lamps and 11
@@ -25,6 +28,8 @@ MOST_CHI2 = 1.5
 #: of the colour's slopes to the rest (4 and some 60 degrees of freedom: 5.3 is met once in a thousand), and the least
 #: slope that matters: of a channel against green, from the middle to a rim.
 UNEVEN_F, UNEVEN_LEAST = 5.5, 0.01
+#: Log evidence by which a model that may miss more must be better to call a camera unlike the known ones. Over UNUSUAL_READINGS.
+UNUSUAL_EVIDENCE = 14.0
 #: How far the likely reasons may go: a veil, of the white patch; a second light, of the first at every wavelength, from the
 #: middle of the chart to a rim.
 _MUCH = 0.3
@@ -46,52 +51,32 @@ _UNUSUAL = (
 )
 
 
-def refusal(
-    reading: Reading,
-    reflectances: Floats,
-    found: Fit,
-    prior: Prior,
-    observer: Observer,
-    *,
-    others: CameraModel,
-    wide: Fit | None,
-) -> str:
+def refusal(found: Fit, *, others: CameraModel, wide: Fit | None, again: Callable[..., Fit]) -> str:
     """Return why the light of a fit must not be used and what to do, or "".
 
-    `others` is the model of cameras, `wide` the fit in which it may miss more; None if the camera was given.
+    `others` is the model of cameras, `wide` the fit in which it may miss more; None if the camera was given. `again`(camera, …)
+    fits the same reading with a camera, and with what `fit` takes besides.
     """
     if found.chi2 > MOST_CHI2:
-        return _no_light(reading, reflectances, found, prior, observer, others, wide)
-    if wide is not None and wide.posterior.log_evidence > found.posterior.log_evidence:
+        return _no_light(found, others=others, wide=wide, again=again)
+    if wide is not None and _gain(wide, found) > UNUSUAL_EVIDENCE:
         return f"{_UNUSUAL}."
-    return _uneven(found)
+    return _uneven(believed(found, wide))
 
 
-def _no_light(
-    reading: Reading,
-    reflectances: Floats,
-    found: Fit,
-    prior: Prior,
-    observer: Observer,
-    others: CameraModel,
-    wide: Fit | None,
-) -> str:
-    bands = np.exp(-0.5 * ((observer.wavelengths_nm - np.array(_BANDS_NM)[:, np.newaxis]) / _BAND_WIDTH_NM) ** 2)
+def believed(usual: Fit, wide: Fit | None) -> Fit:
+    """Return the more probable of the fits of an unknown camera; `usual` if the camera was given or nothing explains the reading."""
+    return wide if wide is not None and usual.chi2 <= MOST_CHI2 and _gain(wide, usual) > 0 else usual
 
-    def veil(A: Floats, light: Floats) -> Floats:
-        white = (A @ light).reshape(24, 3)[WHITE]
-        return np.stack([_MUCH * np.tile(np.eye(3)[c] * white, 24) for c in range(3)])
 
-    def second(A: Floats, light: Floats) -> Floats:
-        return np.stack([_MUCH * side * (A @ (band * light)) for band in bands for side in _sides()])
+def _gain(one: Fit, other: Fit) -> float:
+    return one.posterior.log_evidence - other.posterior.log_evidence
 
-    camera = found.camera
-    tried = {
-        _VEIL: fit(reading, reflectances, camera, prior, observer, more=veil),
-        _TWO_LIGHTS: fit(reading, reflectances, camera, prior, observer, more=second),
-    }
+
+def _no_light(found: Fit, *, others: CameraModel, wide: Fit | None, again: Callable[..., Fit]) -> str:
+    tried = {_VEIL: again(found.camera, more=_veil), _TWO_LIGHTS: again(found.camera, more=_second_light)}
     if wide is None:
-        tried[_ANOTHER] = fit(reading, reflectances, others, prior, observer, unusual=True)
+        tried[_ANOTHER] = again(others, unusual=True)
     else:
         tried[_UNUSUAL] = wide
     told = (
@@ -104,6 +89,16 @@ def _no_light(
         "none of the usual reasons (glare, several lights, the camera's sensitivities) accounts for it either. Check that the "
         "chart is a ColorChecker Classic, was found the right way up, and is neither dirty nor faded."
     )
+
+
+def _veil(A: Floats, light: Floats, _: Observer) -> Floats:
+    white = (A @ light).reshape(24, 3)[WHITE]
+    return np.stack([_MUCH * np.tile(np.eye(3)[c] * white, 24) for c in range(3)])
+
+
+def _second_light(A: Floats, light: Floats, observer: Observer) -> Floats:
+    bands = np.exp(-0.5 * ((observer.wavelengths_nm - np.array(_BANDS_NM)[:, np.newaxis]) / _BAND_WIDTH_NM) ** 2)
+    return np.stack([_MUCH * side * (A @ (band * light)) for band in bands for side in _sides()])
 
 
 def _sides() -> tuple[Floats, Floats]:

@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.spectrometer import EYES, Float64, Tested, judged_kinds, prior_without, read
+from benchmarks.spectrometer.kinds import judged_kinds
+from benchmarks.spectrometer.lamps import EYES, Float64, Tested
+from benchmarks.spectrometer.readings import prior_without, read
 from uplift.spectrometer import FAMILIES, chart_reflectances
 from uplift.spectrometer.fit import fit
 from uplift.spectrometer.posterior import FAMILY_TEMPER, LED_LIKELIER, family_probabilities

@@ -9,7 +9,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.spectrometer import EYES, Float64, read
+from benchmarks.spectrometer.lamps import EYES, Float64
+from benchmarks.spectrometer.readings import read
 from uplift.spectrometer import Reading, anchored, measure_light
 from uplift.spectrum import illuminant
 
