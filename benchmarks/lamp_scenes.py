@@ -474,6 +474,8 @@ def _draw_lamp(
         "Y": brightness,
         "reflectance": reflectance,
         "gap": _gap(best, corners) / across,
+        "thick_mm": thick,
+        "long_mm": min(long, thick) if round_one else long,
         "thin": min(thick * mm, long_px) * (0.75 if round_one else 1.0),
         "behind": behind / brightness,
     }

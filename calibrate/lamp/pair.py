@@ -186,7 +186,7 @@ def find_lit_lamp(
     x, y, w, h = (int(v) for v in stats[label, :4])
     contour = max(cv2.findContours(own, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0], key=len)
     polygon: Points = cv2.boxPoints(cv2.minAreaRect(contour)).astype(np.float64)
-    region = Region(polygon, inside[y : y + h, x : x + w] > 0, (x, y), float("nan"), 0.0)
+    region = Region(polygon, inside[y : y + h, x : x + w] > 0, (x, y), 0.0)
     lamp = read_region(
         np.roll(working, shift, axis=1),
         region,
