@@ -15,11 +15,13 @@ With a second picture, taken with the module off, nothing need be known: the dif
 
 The module's own deviation from D65 is not corrected here.
 """
+
 from calibrate.lamp.curve import adapted_d65_curve
 from calibrate.lamp.expected import ExpectedColour, ExpectedForm
 from calibrate.lamp.finding import find_lamp
+from calibrate.lamp.lit import find_lit_lamp
 from calibrate.lamp.named import measure_lamp, rectangle_from_chart
-from calibrate.lamp.pair import LampAlone, find_lit_lamp, lamp_alone
+from calibrate.lamp.pair import LampAlone, lamp_alone
 from calibrate.lamp.reading import Lamp
 
 __all__ = [

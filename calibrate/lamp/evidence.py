@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 
 from calibrate.difference import D65_XYZ
+from calibrate.lamp.candidate import Candidate
 from calibrate.lamp.curve import adapted_d65_curve, uv_from_xyz
 from calibrate.lamp.expected import ExpectedColour, ExpectedForm, Floats, student, white_rgb
 from calibrate.lamp.reading import MOST_REFLECTED
-from calibrate.lamp.regions import Candidate
 
 # Weights of the terms; those of place and size are 1 where the settings state them.
 _COLOUR: Final = 0.8

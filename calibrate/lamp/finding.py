@@ -7,14 +7,15 @@ import numpy as np
 import numpy.typing as npt
 
 from calibrate import CalibrateError
+from calibrate.lamp.candidate import Candidate
 from calibrate.lamp.evidence import log_odds
 from calibrate.lamp.expected import ExpectedColour, ExpectedForm
 from calibrate.lamp.reading import MOST_CLIPPED, MOST_REFLECTED, Image, Lamp, Mask, Points, read_region
 from calibrate.lamp.reflected import doubts_of_mixing
-from calibrate.lamp.regions import Candidate, candidates, overlap
+from calibrate.lamp.regions import candidates, overlap
 
 # Below these odds against there being no lamp in view nothing is taken.
-_LEAST_ODDS: Final = 0.1
+_LEAST_ODDS: Final = 0.2
 # From these odds on, against every other candidate and none together, a lamp is taken without a word.
 SURE_ODDS: Final = 500.0
 # A candidate of this probability is told of beside a better one.
@@ -87,7 +88,8 @@ def find_lamp(
     if misplaced:
         # The camera may not be as published; then the lamp is looked for as with any camera, and never without a word.
         things = _things(looks, to_xyz, None, known)
-    if not things or things[0].odds < _LEAST_ODDS:
+    dim = bool(things) and float(things[0].look.xyz[1]) < MOST_REFLECTED
+    if not things or things[0].odds < (1.0 if dim else _LEAST_ODDS):
         odds = things[0].odds if things else 0.0
         raise CalibrateError(
             "balance.lamp: no region looks like a D65 module (compact, of one colour, of that of D65 seen from another light, "
@@ -101,7 +103,7 @@ def find_lamp(
             f"at most {MOST_CLIPPED:.0%} may be. Add a shorter exposure to the bracket, or set "
             "`balance.lamp: {rectangle: [x, y, width, height]}` on another lamp of known colour."
         )
-    if float(best.look.xyz[1]) < MOST_REFLECTED:
+    if dim:
         raise CalibrateError(
             f"balance.lamp: what looks most like the lamp, at {best.place(offset)}, is {best.look.xyz[1]:.2g} times as bright as the "
             f"chart's white; expected at least {MOST_REFLECTED}, since an unlit surface may be as bright. Make the lamp brighter, or "
@@ -145,15 +147,23 @@ def _doubts(things: list[_Thing], total: float, *, misplaced: bool, offset: Poin
     for other in things[1:]:
         if other.odds < _NOTABLE * best.odds:
             break
-        looks_so = f"is clipped in {other.look.region.clipped:.0%} of its pixels and may be" if other.clipped else "is likely to be"
+        looks_so = (
+            f"is clipped in {other.look.region.clipped:.0%} of its pixels and may be"
+            if other.clipped
+            else "is likely to be"
+        )
         warnings += (
             f"balance.lamp: another region, at {other.place(offset)}, {looks_so} the lamp with {other.odds / total:.0%}, the one taken, at "
-            f"{best.place(offset)}, with {best.odds / total:.0%}. " + ("If it is, add a shorter exposure. " if other.clipped else "") + remedy,
+            f"{best.place(offset)}, with {best.odds / total:.0%}. "
+            + ("If it is, add a shorter exposure. " if other.clipped else "")
+            + remedy,
         )
     if warnings and not misplaced:
         return warnings[:2]
-    why = "its colour is not where the camera's own matrix puts D65" if misplaced else (
-        f"the odds for it are {1 / against:.2g} to 1 and {SURE_ODDS:.0f} to 1 is sure"
+    why = (
+        "its colour is not where the camera's own matrix puts D65"
+        if misplaced
+        else (f"the odds for it are {1 / against:.2g} to 1 and {SURE_ODDS:.0f} to 1 is sure")
     )
     return (
         f"balance.lamp: what was taken, at {best.place(offset)}, may not be the lamp: {why}. {remedy} Its size and place "

@@ -14,7 +14,7 @@ from calibrate.lamp.reading import MOST_REFLECTED, Lamp
 # Error of u'v' by reflected light: a tenth of the way from D65 to the colour of tungsten light.
 _MIXED: Final = 0.01
 # The bound holds with this probability, if the camera is as stated and every reflectance as likely as another.
-_CONFIDENCE: Final = 0.98
+_CONFIDENCE: Final = 0.99
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,9 @@ def most_reflected(
         below = np.cumsum(likely) / likely.sum()
         most = float(tried[np.searchsorted(below, _CONFIDENCE)])
     own_xyz = to_xyz @ rgb - most * D65_XYZ
-    shift = float(np.hypot(*(uv_from_xyz(to_xyz @ rgb) - uv_from_xyz(own_xyz)))) if (own_xyz > 0).all() else float("inf")
+    shift = (
+        float(np.hypot(*(uv_from_xyz(to_xyz @ rgb) - uv_from_xyz(own_xyz)))) if (own_xyz > 0).all() else float("inf")
+    )
     return Reflected(min(1.0, most / luminance), shift)
 
 
@@ -58,7 +60,11 @@ def doubts_of_mixing(
         return ()
     x, y = lamp.polygon.mean(axis=0)
     luminance = float(np.asarray(xyz_from_rgb, np.float64)[1] @ lamp.rgb)
-    error = f"its u'v' off by up to {bound.shift:.3f}" if np.isfinite(bound.shift) else "its colour that of the scene's light"
+    error = (
+        f"its u'v' off by up to {bound.shift:.3f}"
+        if np.isfinite(bound.shift)
+        else "its colour that of the scene's light"
+    )
     by_colour = "" if expected is None else ", going by its colour,"
     return (
         f"balance.lamp: the lamp at ({x:.0f}, {y:.0f}) is {luminance:.2g} times as bright as the chart's white, so{by_colour} up to "
