@@ -43,7 +43,7 @@ DOUBTS = ("another region", "may not be the lamp")
 #: Other warnings, by what they say.
 REASONS = (
     *DOUBTS,
-    *("scene that it reflects", "worst channel", "pixels inside", "clipped pixels", "not of one colour"),
+    *("scene that it reflects", "worst channel", "pixels thin", "pixels inside", "clipped pixels", "not of one colour"),
 )
 #: The search was chosen with seeds below this; those from here on are new to it.
 FIRST_SEED = 2000

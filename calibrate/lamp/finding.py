@@ -18,6 +18,8 @@ from calibrate.lamp.regions import candidates, overlap
 _LEAST_ODDS: Final = 0.2
 # From these odds on, against every other candidate and none together, a lamp is taken without a word.
 SURE_ODDS: Final = 500.0
+# Thinner than this, in pixels, blur and demosaicing reach the middle.
+_THIN_PX: Final = 6.5
 # A candidate of this probability is told of beside a better one.
 _NOTABLE: Final = 0.05
 
@@ -111,7 +113,9 @@ def find_lamp(
         )
     total = 1.0 + sum(thing.odds for thing in things)
     lamp = read_region(seen, best.look.region, xyz_from_rgb=xyz_from_rgb, clipped=lost, latlong=False)
-    warnings = lamp.warnings + _doubts(things, total, misplaced=misplaced, offset=offset)
+    warnings = (
+        lamp.warnings + _doubts_of_edges(best, offset) + _doubts(things, total, misplaced=misplaced, offset=offset)
+    )
     warnings += doubts_of_mixing(replace(lamp, polygon=lamp.polygon - offset), to_xyz, None if misplaced else expected)
     return replace(
         lamp,
@@ -119,6 +123,18 @@ def find_lamp(
         score=best.odds / total,
         runner_up=things[1].odds / total if len(things) > 1 else 0.0,
         warnings=warnings,
+    )
+
+
+def _doubts_of_edges(best: _Thing, offset: Points) -> tuple[str, ...]:
+    """Return a warning if the thing taken is so thin that its surround mixes with all of it."""
+    corners = best.look.region.polygon
+    thin = 1 + float(min(np.hypot(*(corners[1] - corners[0])), np.hypot(*(corners[2] - corners[1]))))
+    if thin >= _THIN_PX:
+        return ()
+    return (
+        f"balance.lamp: the lamp at {best.place(offset)} is {thin:.1f} pixels thin, so that its surround mixes with all of it; "
+        f"{_THIN_PX} are enough. Photograph it larger.",
     )
 
 

@@ -15,8 +15,8 @@ Image = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 MOST_CLIPPED: Final = 0.3
-# Of the light on the chart, what an unlit module may reflect: opal covers and white circuit boards about this.
-MOST_REFLECTED: Final = 0.7
+# Of the light on the chart, what an unlit module may reflect: opal covers about half of it, white circuit boards up to this.
+MOST_REFLECTED: Final = 0.8
 _FEW_PIXELS: Final = 60
 _FEWEST_PIXELS: Final = 4
 # Scatter of u'v' inside a lamp, of one channel's noise or so; an evenly lit module stays below 0.005.

@@ -11,8 +11,9 @@ from calibrate.lamp.curve import uv_from_xyz
 from calibrate.lamp.expected import ExpectedColour, student, white_rgb
 from calibrate.lamp.reading import MOST_REFLECTED, Lamp
 
-# Error of u'v' by reflected light: a tenth of the way from D65 to the colour of tungsten light.
-_MIXED: Final = 0.01
+# Error of u'v' by reflected light. 0.01 is a tenth of the way from D65 to the colour of tungsten light; the rest is left to
+# the reading's own error.
+_MIXED: Final = 0.008
 # The bound holds with this probability, if the camera is as stated and every reflectance as likely as another.
 _CONFIDENCE: Final = 0.99
 
@@ -30,9 +31,9 @@ def most_reflected(
 ) -> Reflected:
     """Return how much of working RGB [3] of a lamp, chart white 1, may be reflected light of the scene.
 
-    A surface that reflects 70 % of the light on the chart is the bound. Where the lamp's own colour is known to some
+    A surface that reflects 80 % of the light on the chart is the bound. Where the lamp's own colour is known to some
     accuracy, reflectances that would leave it another one are unlikely: then it is the quantile of the posterior of a reflectance
-    that was even between 0 and 0.7 before.
+    that was even between 0 and 0.8 before.
     """
     white = white_rgb(xyz_from_rgb)
     to_xyz = np.asarray(xyz_from_rgb, np.float64)
