@@ -26,8 +26,8 @@ class Candidate:
     its smallest rectangle or of the ellipse in that. `rgb` and `xyz` [3] are means over what is not clipped, chart white 1; with
     `rim`, over its brightest rim, since all else is clipped. `contrast` is how many times as bright as its surround it is,
     `steady` the share of the thresholds in that contrast at which it keeps its area; `tints` and `levels` the scatter between
-    its parts, of u'v' and of the logarithm of luminance, beyond their noise; `alike` the number of others of its colour
-    and brightness; `border`: the picture's border cuts it.
+    its parts, of u'v' and of the logarithm of luminance, beyond their noise; `alike` the number of others of its
+    colour, brightness and size; `border`: the picture's border cuts it. `level`: the luminance that all of it exceeds.
     """
 
     region: Region
@@ -43,6 +43,7 @@ class Candidate:
     steady: float
     tints: float
     levels: float
+    level: float
     alike: int = 0
 
 
@@ -51,6 +52,7 @@ def measured(
     luminance: npt.NDArray[np.float32],
     own: npt.NDArray[np.uint8],
     *,
+    level: float,
     lost: Mask,
     part: tuple[slice, slice],
     chart: Points,
@@ -105,6 +107,7 @@ def measured(
         steady=0.0,
         tints=tints,
         levels=levels,
+        level=level,
     )
 
 

@@ -31,6 +31,9 @@ _ANY_LAMP: Final = 0.6**2 * np.eye(2)
 # u'v' about the curve of D65 from any light: lamps that are no black bodies, chart matrices and modules each add about 0.01.
 _CURVE_SIGMA: Final = 0.015
 _CURVE_SIGMA_OF_RIM: Final = 0.04
+# In standard deviations; farther off no light makes D65 look so.
+_OFF_CURVE: Final = 4.0
+_IMPOSSIBLE: Final = -20.0
 _WHITE_SIGMA: Final = 0.012
 # Reflected light of the scene is tried in so many steps.
 _SHARES: Final = 8
@@ -88,7 +91,10 @@ def _curve_colour(one: Candidate) -> float:
     """The same where the camera is not known: a lamp lies on the curve of D65 seen from some light."""
     own = one.xyz - _reflectable(one)[:, None] * D65_XYZ
     distance = np.hypot(*np.moveaxis(uv_from_xyz(own)[:, None] - adapted_d65_curve(), -1, 0)).min()
-    lamp = (1 + (distance / (_CURVE_SIGMA_OF_RIM if one.rim else _CURVE_SIGMA)) ** 2 / 3) ** -2
+    away = distance / (_CURVE_SIGMA_OF_RIM if one.rim else _CURVE_SIGMA)
+    if away > _OFF_CURVE:
+        return _IMPOSSIBLE
+    lamp = (1 + away**2 / 3) ** -2
     tint = np.hypot(*(uv_from_xyz(one.xyz) - uv_from_xyz(D65_XYZ)))
     other = 0.12 + 1.5 * (1 + (tint / _WHITE_SIGMA) ** 2 / 3) ** -2
     return float(np.log(lamp / other))

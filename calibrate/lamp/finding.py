@@ -111,10 +111,11 @@ def find_lamp(
             f"chart's white; expected at least {MOST_REFLECTED}, since an unlit surface may be as bright. Make the lamp brighter, or "
             "photograph the view with the lamp off too (`capture.lamp_off`)."
         )
+    half = _at_half_level(best.look, looks)
     total = 1.0 + sum(thing.odds for thing in things)
-    lamp = read_region(seen, best.look.region, xyz_from_rgb=xyz_from_rgb, clipped=lost, latlong=False)
+    lamp = read_region(seen, half.region, xyz_from_rgb=xyz_from_rgb, clipped=lost, latlong=False)
     warnings = (
-        lamp.warnings + _doubts_of_edges(best, offset) + _doubts(things, total, misplaced=misplaced, offset=offset)
+        lamp.warnings + _doubts_of_edges(half, offset) + _doubts(things, total, misplaced=misplaced, offset=offset)
     )
     warnings += doubts_of_mixing(replace(lamp, polygon=lamp.polygon - offset), to_xyz, None if misplaced else expected)
     return replace(
@@ -126,14 +127,27 @@ def find_lamp(
     )
 
 
-def _doubts_of_edges(best: _Thing, offset: Points) -> tuple[str, ...]:
+def _at_half_level(best: Candidate, looks: list[Candidate]) -> Candidate:
+    """Return of all that overlaps the thing taken what ends where it is half as bright: that is where its edge is."""
+    same = [
+        look
+        for look in looks
+        if look.region.clipped <= MOST_CLIPPED
+        and look.thick * look.long <= 1.5 * best.thick * best.long
+        and overlap(look.region, best.region)
+    ]
+    return min(same, key=lambda look: abs(float(np.log(2 * look.level / best.xyz[1]))))
+
+
+def _doubts_of_edges(look: Candidate, offset: Points) -> tuple[str, ...]:
     """Return a warning if the thing taken is so thin that its surround mixes with all of it."""
-    corners = best.look.region.polygon
+    corners = look.region.polygon
     thin = 1 + float(min(np.hypot(*(corners[1] - corners[0])), np.hypot(*(corners[2] - corners[1]))))
     if thin >= _THIN_PX:
         return ()
+    x, y = corners.mean(axis=0) - offset
     return (
-        f"balance.lamp: the lamp at {best.place(offset)} is {thin:.1f} pixels thin, so that its surround mixes with all of it; "
+        f"balance.lamp: the lamp at ({x:.0f}, {y:.0f}) is {thin:.1f} pixels thin, so that its surround mixes with all of it; "
         f"{_THIN_PX} are enough. Photograph it larger.",
     )
 

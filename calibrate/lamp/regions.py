@@ -16,6 +16,8 @@ _LARGEST_CHARTS: Final = 2.5
 # Panes of one window and tubes of one luminaire differ by less in u'v' and in the logarithm of luminance.
 _SAME_COLOUR: Final = 0.004
 _SAME_LEVEL: Final = 0.15
+# … and in the logarithm of each side: something may stand before one of them.
+_SAME_SIZE: Final = 0.5
 _LOWEST_LEVEL: Final = 0.35
 # Regions examined at one threshold, the largest first; a noisy picture has thousands of specks.
 _MOST_REGIONS: Final = 60
@@ -49,7 +51,9 @@ def candidates(image: Image, lost: Mask, chart: Points, xyz_from_rgb: npt.NDArra
             x0, y0 = max(x - pad, 0), max(y - pad, 0)
             part = (slice(y0, y + h + pad), slice(x0, x + w + pad))
             own = np.asarray(labels[part] == label, np.uint8)
-            found = measured(image, luminance, own, lost=lost, part=part, chart=chart, xyz_from_rgb=xyz_from_rgb)
+            found = measured(
+                image, luminance, own, level=float(level), lost=lost, part=part, chart=chart, xyz_from_rgb=xyz_from_rgb
+            )
             if found is not None:
                 seen.append((found, step, float(areas[label])))
     return _alone(_steady(seen))
@@ -72,7 +76,7 @@ def _steady(seen: list[tuple[Candidate, int, float]]) -> list[Candidate]:
 
 
 def _alone(found: list[Candidate]) -> list[Candidate]:
-    """Count of each candidate the others of its colour and brightness, as panes of a window are to one another."""
+    """Count of each candidate the others of its colour, brightness and size, as panes of a window are to one another."""
     lit = [one for one in found if not one.rim]
     if not lit:
         return found
@@ -80,11 +84,13 @@ def _alone(found: list[Candidate]) -> list[Candidate]:
     uv, level = uv_from_xyz(xyz), np.log(xyz[:, 1])
     low = np.array([one.region.polygon.min(axis=0) for one in lit])
     high = np.array([one.region.polygon.max(axis=0) for one in lit])
-    area = np.array([one.thick * one.long for one in lit])
+    sides = np.log([[one.thick, one.long] for one in lit])
     out = [one for one in found if one.rim]
     for n, one in enumerate(lit):
         like = (np.hypot(*(uv - uv[n]).T) < _SAME_COLOUR) & (np.abs(level - level[n]) < _SAME_LEVEL)
-        like &= (area > 0.2 * area[n]) & ((low > high[n] + 2) | (high < low[n] - 2)).any(axis=1)
+        like &= (np.abs(sides - sides[n]) < _SAME_SIZE).all(axis=1) & ((low > high[n] + 2) | (high < low[n] - 2)).any(
+            axis=1
+        )
         # Thresholds nest: regions that overlap are one.
         others: list[int] = []
         for k in np.flatnonzero(like):
