@@ -39,7 +39,8 @@ BLACK, WHITE, GAIN, READ_E = 512.0, 16383.0, 3.1, 4.0
 _EXPOSED = 0.3
 #: How far a camera is from the published matrix of its model, standard deviation of each channel.
 _MATRIX_ERROR = 0.025
-_MM = 268.0  # the box of the chart, across
+#: The box of the chart, across.
+CHART_MM = 268.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -302,7 +303,7 @@ def _distract(stage: _Stage, canvas: _Canvas, across: float, *, at_least: int) -
     for _ in range(int(rng.integers(max(at_least, 1), 5))):
         kind = str(rng.choice(["window", "screen", "lamp", "glints", "paper", "paper", "pane"]))
         centre = rng.random(2) * (width, height)
-        mm = across / _MM * float(np.exp(rng.uniform(np.log(0.4), np.log(1.2))))
+        mm = across / CHART_MM * float(np.exp(rng.uniform(np.log(0.4), np.log(1.2))))
         drawn.append((kind, float(centre[0]), float(centre[1])))
         if kind in ("window", "pane"):
             # Windows are farther away than what stands on the table.
@@ -384,6 +385,19 @@ def _screen(stage: _Stage, canvas: _Canvas, centre: Float64, mm: float) -> None:
     canvas.put(_quad(centre, w * mm, h * mm, turn), layers)
 
 
+def lamp_form(rng: np.random.Generator) -> tuple[float, float, bool]:
+    """Return the sides in mm of some lamp, and whether it is a strip."""
+    strip = bool(rng.random() < 0.5)
+    return *_sides(rng, strip), strip
+
+
+def _sides(rng: np.random.Generator, strip: bool) -> tuple[float, float]:
+    if strip:
+        return float(rng.uniform(8, 18)), float(rng.uniform(90, 320))
+    thick = float(rng.uniform(25, 80))
+    return thick, thick * float(rng.uniform(1.0, 1.8))
+
+
 def _placed(
     stage: _Stage,
     canvas: _Canvas,
@@ -429,12 +443,8 @@ def _draw_lamp(
     rng = stage.rng
     near = rng.random() < 0.6
     strip = rng.random() < 0.5
-    mm = across / _MM * (float(rng.uniform(0.85, 1.15)) if near else float(rng.uniform(0.6, 1.3)))
-    if strip:
-        thick, long = float(rng.uniform(8, 18)), float(rng.uniform(90, 320))
-    else:
-        thick = float(rng.uniform(25, 80))
-        long = thick * float(rng.uniform(1.0, 1.8))
+    mm = across / CHART_MM * (float(rng.uniform(0.85, 1.15)) if near else float(rng.uniform(0.6, 1.3)))
+    thick, long = _sides(rng, strip)
     if kind == "small":
         shrink = float(rng.uniform(2.0, 5.0)) / (thick * mm)
         thick, long = thick * min(shrink, 1), max(long * min(shrink, 1), thick * min(shrink, 1))
@@ -474,6 +484,8 @@ def _draw_lamp(
         "Y": brightness,
         "reflectance": reflectance,
         "gap": _gap(best, corners) / across,
+        "thick_mm": thick,
+        "long_mm": min(long, thick) if round_one else long,
         "thin": min(thick * mm, long_px) * (0.75 if round_one else 1.0),
         "behind": behind / brightness,
     }

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks import __main__ as program
-from benchmarks.lamp import look
+from benchmarks.lamp import Tally, Verdict, known_of, look
 from benchmarks.lamp_scenes import Calibrated, cameras, lamp_scene
 from samples import spectra
 from uplift.spectrum import rgb_space
@@ -40,13 +40,39 @@ def test_a_region_counts_as_found_only_on_the_lamp(at, verdict, monkeypatch):
     place[20:40, 20:40] = True
     scene = types.SimpleNamespace(place=place, camera_lamp=np.ones(3), camera_d65=np.ones(3))
     centre = 30.0 if at == "lamp" else 70.0
-    reading = types.SimpleNamespace(polygon=np.full((4, 2), centre), rgb=np.ones(3), warnings=())
+    reading = types.SimpleNamespace(polygon=np.full((4, 2), centre), rgb=np.ones(3), warnings=(), score=0.9)
     monkeypatch.setattr(calibrate.lamp, "find_lamp", lambda *_, **__: reading)
     made = Calibrated(np.ones((100, 100, 3), np.float32), np.zeros((4, 2)), np.eye(3))
-    assert look(scene, made, XYZ_FROM_RGB)[0].startswith(verdict)
+    assert look(scene, made, XYZ_FROM_RGB).what.startswith(verdict)
     reading.rgb = np.array([1.0, 1.0, 1.5])
     if at == "lamp":
-        assert look(scene, made, XYZ_FROM_RGB)[0] == "found, misread, unwarned"
+        assert look(scene, made, XYZ_FROM_RGB).what == "found, misread, unwarned"
+
+
+def test_more_is_known_the_more_is_declared():
+    scene = next(s for s in map(lamp_scene, range(50)) if s.readable)
+    made = Calibrated(np.ones((2, 2, 3), np.float32), scene.corners, np.eye(3))
+    (nothing, no_form), (published, form), (own, same) = (
+        known_of(scene, made, declared, seed=1) for declared in ("nothing", "form", "all")
+    )
+    assert no_form is None and form is not None and form == same
+    assert form.within is not None and form.within > scene.facts["gap"]
+    np.testing.assert_array_equal(nothing.camera_rgb, published.camera_rgb)
+    colours = [colour.camera_rgb / colour.camera_rgb[1] for colour in (published, own)]
+    true = scene.camera_lamp / scene.camera_lamp[1]
+    assert own.own_spectrum and np.abs(colours[1] / true - 1).max() < 0.08
+    assert (own.covariance() < published.covariance()).all()
+
+
+def test_the_tally_counts_what_passed_without_a_word():
+    tally = Tally()
+    tally.add("readable", Verdict("found, warned", 0.001, "another region, at …", 0.9), 0.1)
+    tally.add("readable", Verdict("found", 0.001, "", 0.999), 0.1)
+    tally.add("without", Verdict("wrong object, warned", float("nan"), "may not be the lamp", 0.5), 0.1)
+    assert tally.unwarned() == 0
+    tally.add("hard", Verdict("found, misread, unwarned", 0.02, "", 0.999), 0.1)
+    assert tally.unwarned() == 1
+    assert tally.reasons == {"another region": 1}
 
 
 @pytest.mark.slow

@@ -1,36 +1,43 @@
-"""The search for the module: the region with the best score, and the refusals where no region will do."""
+"""The search for the lamp: how likely each thing in the picture is it, or none of them, and the refusals where none will do."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from calibrate import CalibrateError
-from calibrate.lamp.curve import uv_from_xyz
-from calibrate.lamp.reading import (
-    MOST_CLIPPED,
-    MOST_REFLECTED,
-    Image,
-    Lamp,
-    Mask,
-    Points,
-    Region,
-    doubts_of_mixing,
-    read_region,
-)
-from calibrate.lamp.regions import overlap, regions_of
+from calibrate.lamp.candidate import Candidate
+from calibrate.lamp.evidence import log_odds
+from calibrate.lamp.expected import ExpectedColour, ExpectedForm
+from calibrate.lamp.reading import MOST_CLIPPED, MOST_REFLECTED, Image, Lamp, Mask, Points, read_region
+from calibrate.lamp.reflected import doubts_of_mixing
+from calibrate.lamp.regions import candidates, overlap
 
-_LEAST_SCORE: Final = 0.02
-# A runner-up of this share of the best score is told of.
-_CLOSE_RUNNER_UP: Final = 0.2
-# A region that scores less is taken, but not without a word. In synthetic scenes without a lamp, things of D65's colour and a
-# module's size (a screen, a 6500 K lamp, a piece of sky) score up to 0.59 about once in forty; most lamps score 0.3–0.8.
-_SURE: Final = 0.6
-# Where the camera is not known, a window may look like a lamp in all but its place.
-_SURE_OF_UNKNOWN_CAMERA: Final = 0.9
-# Something clipped is no reason to refuse a lamp that scores this.
-_GOOD: Final = 0.1
+# Below these odds against there being no lamp in view nothing is taken.
+_LEAST_ODDS: Final = 0.2
+# From these odds on, against every other candidate and none together, a lamp is taken without a word.
+SURE_ODDS: Final = 500.0
+# Thinner than this, in pixels, blur and demosaicing reach the middle.
+_THIN_PX: Final = 6.5
+# A candidate of this probability is told of beside a better one.
+_NOTABLE: Final = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Thing:
+    """Candidates that overlap, told by the one that looks most like the lamp; `odds` against none."""
+
+    look: Candidate
+    odds: float
+
+    @property
+    def clipped(self) -> bool:
+        return self.look.region.clipped > MOST_CLIPPED
+
+    def place(self, offset: Points) -> str:
+        x, y = self.look.region.polygon.mean(axis=0) - offset
+        return f"({x:.0f}, {y:.0f})"
 
 
 def find_lamp(
@@ -38,7 +45,8 @@ def find_lamp(
     *,
     chart_corners: Points,
     xyz_from_rgb: npt.NDArray[np.float64],
-    expected_rgb: npt.NDArray[np.float64] | None = None,
+    expected: ExpectedColour | None = None,
+    form: ExpectedForm | None = None,
     clipped: Mask | None = None,
     latlong: bool = False,
 ) -> Lamp:
@@ -50,9 +58,11 @@ def find_lamp(
         Shape (4, 2), px. The chart itself is left out, and gives the scale of sizes and distances.
     xyz_from_rgb
         Shape (3, 3). The working space.
-    expected_rgb
-        Shape (3,). Working RGB, of any scale, that the lamp should have by what is known of the camera. Without it the
-        lamp may have the colour of D65 seen from any light, as windows often do.
+    expected
+        The colour that the camera should see. Without it the lamp may have the colour of D65 seen from any light, as
+        windows often do.
+    form
+        Its size and how near the chart it stands, as far as they are known.
     clipped
         Shape (H, W). Pixels that are clipped; NaN counts as clipped as well.
     latlong
@@ -73,70 +83,120 @@ def find_lamp(
         lost = lost | np.roll(clipped, shift, axis=1)
     offset = np.array([float(shift), 0.0])
     to_xyz = np.asarray(xyz_from_rgb, dtype=np.float64)
-    expected_uv = None if expected_rgb is None else uv_from_xyz(to_xyz @ np.asarray(expected_rgb, dtype=np.float64))
-    regions = regions_of(seen, lost, chart + offset, to_xyz, expected_uv)
-    misplaced = expected_uv is not None and all(region.score < _LEAST_SCORE for region in regions)
+    looks = candidates(seen, lost, chart + offset, to_xyz)
+    known = form or ExpectedForm()
+    things = _things(looks, to_xyz, expected, known)
+    misplaced = expected is not None and (not things or things[0].odds < _LEAST_ODDS)
     if misplaced:
         # The camera may not be as published; then the lamp is looked for as with any camera, and never without a word.
-        expected_uv = None
-        regions = regions_of(seen, lost, chart + offset, to_xyz, None)
-    usable = [region for region in regions if region.clipped <= MOST_CLIPPED and region.score >= _LEAST_SCORE]
-    spoilt = [region for region in regions if region.clipped > MOST_CLIPPED and region.score >= _LEAST_SCORE]
-    best = max(usable, key=lambda region: region.score, default=None)
-    worst = max(spoilt, key=lambda region: region.score, default=None)
-    if worst is not None and (best is None or (worst.score > best.score and best.score < _GOOD)):
-        x, y = worst.polygon.mean(axis=0) - offset
+        things = _things(looks, to_xyz, None, known)
+    dim = bool(things) and float(things[0].look.xyz[1]) < MOST_REFLECTED
+    if not things or things[0].odds < (1.0 if dim else _LEAST_ODDS):
+        odds = things[0].odds if things else 0.0
         raise CalibrateError(
-            f"balance.lamp: what looks like the lamp, at ({x:.0f}, {y:.0f}), is clipped in {worst.clipped:.0%} of its pixels; "
+            "balance.lamp: no region looks like a D65 module (compact, of one colour, of that of D65 seen from another light, "
+            f"brighter than its surround; best odds {odds:.2g} to 1, least {_LEAST_ODDS}). Set "
+            "`balance.lamp: {rectangle: [x, y, width, height]}` to pixels inside the module."
+        )
+    best = things[0]
+    if best.clipped:
+        raise CalibrateError(
+            f"balance.lamp: what looks like the lamp, at {best.place(offset)}, is clipped in {best.look.region.clipped:.0%} of its pixels; "
             f"at most {MOST_CLIPPED:.0%} may be. Add a shorter exposure to the bracket, or set "
             "`balance.lamp: {rectangle: [x, y, width, height]}` on another lamp of known colour."
         )
-    if best is None:
-        score = max((region.score for region in regions), default=0.0)
+    if dim:
         raise CalibrateError(
-            "balance.lamp: no region looks like a D65 module (compact, of one colour, on the curve of D65 seen from "
-            f"another light, brighter than its surround; best score {score:.3f}, least {_LEAST_SCORE}). Set "
-            "`balance.lamp: {rectangle: [x, y, width, height]}` to pixels inside the module."
+            f"balance.lamp: what looks most like the lamp, at {best.place(offset)}, is {best.look.xyz[1]:.2g} times as bright as the "
+            f"chart's white; expected at least {MOST_REFLECTED}, since an unlit surface may be as bright. Make the lamp brighter, or "
+            "photograph the view with the lamp off too (`capture.lamp_off`)."
         )
-    runner_up = max((r.score for r in usable if not overlap(r, best)), default=0.0)
-    lamp = read_region(seen, best, xyz_from_rgb=xyz_from_rgb, clipped=lost, latlong=False)
-    luminance = float(to_xyz[1] @ lamp.rgb)
-    x, y = best.polygon.mean(axis=0) - offset
-    if luminance < MOST_REFLECTED:
-        raise CalibrateError(
-            f"balance.lamp: what looks most like the lamp, at ({x:.0f}, {y:.0f}), is {luminance:.2g} times as bright as the chart's white; "
-            f"expected at least {MOST_REFLECTED}, since an unlit surface may be as bright. Make the lamp brighter, or photograph the "
-            "view with the lamp off too (`capture.lamp_off`)."
-        )
-    sure = 1.0 if misplaced else _SURE_OF_UNKNOWN_CAMERA if expected_uv is None else _SURE
-    warnings = lamp.warnings + _doubts(best, worst, usable, sure=sure, offset=offset)
-    warnings += doubts_of_mixing(lamp, to_xyz)
-    return replace(lamp, polygon=lamp.polygon - offset, score=best.score, runner_up=runner_up, warnings=warnings)
+    half = _at_half_level(best.look, looks)
+    total = 1.0 + sum(thing.odds for thing in things)
+    lamp = read_region(seen, half.region, xyz_from_rgb=xyz_from_rgb, clipped=lost, latlong=False)
+    warnings = (
+        lamp.warnings + _doubts_of_edges(half, offset) + _doubts(things, total, misplaced=misplaced, offset=offset)
+    )
+    warnings += doubts_of_mixing(replace(lamp, polygon=lamp.polygon - offset), to_xyz, None if misplaced else expected)
+    return replace(
+        lamp,
+        polygon=lamp.polygon - offset,
+        score=best.odds / total,
+        runner_up=things[1].odds / total if len(things) > 1 else 0.0,
+        warnings=warnings,
+    )
 
 
-def _doubts(
-    best: Region, worst: Region | None, usable: list[Region], *, sure: float, offset: Points
-) -> tuple[str, ...]:
-    """Return what speaks against the region taken: its score, a clipped one, or another that is nearly as good."""
+def _at_half_level(best: Candidate, looks: list[Candidate]) -> Candidate:
+    """Return of all that overlaps the thing taken what ends where it is half as bright: that is where its edge is."""
+    same = [
+        look
+        for look in looks
+        if look.region.clipped <= MOST_CLIPPED
+        and look.thick * look.long <= 1.5 * best.thick * best.long
+        and overlap(look.region, best.region)
+    ]
+    return min(same, key=lambda look: abs(float(np.log(2 * look.level / best.xyz[1]))))
+
+
+def _doubts_of_edges(look: Candidate, offset: Points) -> tuple[str, ...]:
+    """Return a warning if the thing taken is so thin that its surround mixes with all of it."""
+    corners = look.region.polygon
+    thin = 1 + float(min(np.hypot(*(corners[1] - corners[0])), np.hypot(*(corners[2] - corners[1]))))
+    if thin >= _THIN_PX:
+        return ()
+    x, y = corners.mean(axis=0) - offset
+    return (
+        f"balance.lamp: the lamp at ({x:.0f}, {y:.0f}) is {thin:.1f} pixels thin, so that its surround mixes with all of it; "
+        f"{_THIN_PX} are enough. Photograph it larger.",
+    )
+
+
+def _things(
+    looks: list[Candidate], xyz_from_rgb: npt.NDArray[np.float64], expected: ExpectedColour | None, form: ExpectedForm
+) -> list[_Thing]:
+    """Return what does not overlap, the likeliest first."""
+    things: list[_Thing] = []
+    odds = np.exp([log_odds(look, xyz_from_rgb, expected, form) for look in looks])
+    for n in np.argsort(-odds, kind="stable"):
+        if odds[n] < 1e-4 * _LEAST_ODDS:
+            break
+        if not any(overlap(looks[n].region, thing.look.region) for thing in things):
+            things.append(_Thing(looks[n], float(odds[n])))
+    return things
+
+
+def _doubts(things: list[_Thing], total: float, *, misplaced: bool, offset: Points) -> tuple[str, ...]:
+    """Return what speaks against the thing taken: that it may be none, or another one, or one that is clipped."""
+    best = things[0]
+    against = (total - best.odds) / best.odds
+    if not misplaced and against * SURE_ODDS <= 1:
+        return ()
+    remedy = "Look at the report; if it is something else, set `balance.lamp` to a rectangle inside the module."
     warnings: tuple[str, ...] = ()
-    if best.score < sure:
-        x, y = best.polygon.mean(axis=0) - offset
-        needed = f"{sure} is sure" if sure < 1 else "its colour is not where the camera's own matrix puts D65"
-        warnings += (
-            f"balance.lamp: what was taken, at ({x:.0f}, {y:.0f}), may not be the lamp: it scores {best.score:.2f} of 1, and {needed}. Look "
-            "at the report; if it is something else, set `balance.lamp` to a rectangle inside the module.",
+    for other in things[1:]:
+        if other.odds < _NOTABLE * best.odds:
+            break
+        looks_so = (
+            f"is clipped in {other.look.region.clipped:.0%} of its pixels and may be"
+            if other.clipped
+            else "is likely to be"
         )
-    if worst is not None and worst.score > _CLOSE_RUNNER_UP * best.score and not overlap(worst, best):
-        x, y = worst.polygon.mean(axis=0) - offset
         warnings += (
-            f"balance.lamp: another region, at ({x:.0f}, {y:.0f}), is clipped in {worst.clipped:.0%} of its pixels and may be the "
-            "lamp. Look at the report; if it is, add a shorter exposure to the bracket.",
+            f"balance.lamp: another region, at {other.place(offset)}, {looks_so} the lamp with {other.odds / total:.0%}, the one taken, at "
+            f"{best.place(offset)}, with {best.odds / total:.0%}. "
+            + ("If it is, add a shorter exposure. " if other.clipped else "")
+            + remedy,
         )
-    other = max((r for r in usable if not overlap(r, best)), key=lambda region: region.score, default=None)
-    if other is not None and other.score > _CLOSE_RUNNER_UP * best.score:
-        x, y = other.polygon.mean(axis=0) - offset
-        warnings += (
-            f"balance.lamp: another region, at ({x:.0f}, {y:.0f}), scores {other.score:.2f} against {best.score:.2f} of the one "
-            "taken. Look at the report; if it is the wrong one, set `balance.lamp` to a rectangle inside the module.",
-        )
-    return warnings
+    if warnings and not misplaced:
+        return warnings[:2]
+    why = (
+        "its colour is not where the camera's own matrix puts D65"
+        if misplaced
+        else (f"the odds for it are {1 / against:.2g} to 1 and {SURE_ODDS:.0f} to 1 is sure")
+    )
+    return (
+        f"balance.lamp: what was taken, at {best.place(offset)}, may not be the lamp: {why}. {remedy} Its size and place "
+        "(`balance.lamp: {size: …, within: …}`), if you state them, sharpen the odds.",
+        *warnings[:1],
+    )

@@ -1,15 +1,13 @@
 """What a lamp reads: the mean over its interior, its standard error, and doubts about it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from calibrate import CalibrateError
-from calibrate.chart.geometry import BOX_HEIGHT, BOX_WIDTH, image_from_chart, project
 from calibrate.chart.patches import trimmed_mean
-from calibrate.difference import D65_XYZ
 from calibrate.lamp.curve import uv_from_xyz
 
 Points = npt.NDArray[np.float64]
@@ -17,8 +15,8 @@ Image = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 MOST_CLIPPED: Final = 0.3
-# Of the light on the chart, what an unlit module may reflect: opal covers and white circuit boards about this.
-MOST_REFLECTED: Final = 0.7
+# Of the light on the chart, what an unlit module may reflect: opal covers about half of it, white circuit boards up to this.
+MOST_REFLECTED: Final = 0.8
 _FEW_PIXELS: Final = 60
 _FEWEST_PIXELS: Final = 4
 # Scatter of u'v' inside a lamp, of one channel's noise or so; an evenly lit module stays below 0.005.
@@ -26,8 +24,6 @@ _UNEVEN: Final = 0.01
 # Relative standard error of the reading in its worst channel.
 _NOISY: Final = 0.01
 _TOO_NOISY: Final = 0.05
-# Error of u'v' by reflected light: a tenth of the way from D65 to the colour of tungsten light.
-_MIXED: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +32,7 @@ class Lamp:
 
     `rgb` [3] is the mean working RGB over the interior, `noise` [3] its standard error; `polygon` [N, 2] outlines it in pixels
     (x, y), integer = centre (in a lat-long map x is continuous across the seam). `pixels` were used, `clipped` were NaN or
-    marked. `score` 0…1 is how much it looks like the module (NaN if it was named), `runner_up` that of the next
+    marked. `score` is the probability that it is the module (NaN if it was named), `runner_up` that of the next
     candidate (0 if none). `unevenness` is the scatter of u'v' inside.
     """
 
@@ -51,80 +47,16 @@ class Lamp:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Region:
-    """An area of an image: its outline, the pixels `inside` a box whose first pixel is `origin` (x, y), a score, how much
-    of it is clipped, and its mean XYZ where anything of it is not.
+    """An area of an image: its outline, the pixels `inside` a box whose first pixel is `origin` (x, y), and the share of those
+    that is clipped.
     """
 
     polygon: Points
     inside: Mask
     origin: tuple[int, int]
-    score: float
     clipped: float
-    xyz: npt.NDArray[np.float64] | None = None
-
-
-def measure_lamp(
-    image: Image,
-    polygon: Points | None = None,
-    *,
-    rectangle: tuple[float, float, float, float] | None = None,
-    xyz_from_rgb: npt.NDArray[np.float64],
-    clipped: Mask | None = None,
-    latlong: bool = False,
-    alone: bool = False,
-) -> Lamp:
-    """Return the lamp inside a `polygon` [N, 2] or a `rectangle` (x, y, width, height) of `image` [H, W, 3], in pixels.
-
-    The rectangle covers the pixels x … x + width − 1. All of the area counts, so it should lie inside the lamp. `clipped`
-    [H, W] marks samples to leave out besides NaN. `alone`: the picture holds the lamp's light and no other.
-
-    Raises
-    ------
-    CalibrateError
-        If the area leaves the image, is too small, dark, or more than 30 % clipped.
-    """
-    if (polygon is None) == (rectangle is None):
-        raise CalibrateError("balance.lamp: give either a polygon or a rectangle (x, y, width, height) in pixels.")
-    if rectangle is not None:
-        x, y, w, h = rectangle
-        polygon = np.array([[x, y], [x + w - 1, y], [x + w - 1, y + h - 1], [x, y + h - 1]], dtype=np.float64)
-    area = np.asarray(polygon, dtype=np.float64)
-    height, width = image.shape[:2]
-    low, high = np.ceil(area.min(axis=0) - 1e-6).astype(int), np.floor(area.max(axis=0) + 1e-6).astype(int)
-    beyond = low[1] < 0 or high[1] >= height or (not latlong and (low[0] < 0 or high[0] >= width))
-    if beyond or (high < low).any():
-        raise CalibrateError(
-            f"balance.lamp: the area {area.round(1).tolist()} does not lie inside the image of {width}×{height} pixels; "
-            "expected x and y in pixels from the top left. Correct `balance.lamp`, or set it to `auto`."
-        )
-    y_grid, x_grid = np.mgrid[low[1] : high[1] + 1, low[0] : high[0] + 1]
-    sides = np.roll(area, -1, axis=0) - area
-    crosses = np.stack(
-        [dx * (y_grid - y0) - dy * (x_grid - x0) for (x0, y0), (dx, dy) in zip(area, sides, strict=True)]
-    )
-    inside: Mask = np.asarray((crosses >= -1e-6).all(axis=0) | (crosses <= 1e-6).all(axis=0))
-    region = Region(area, inside, (int(low[0]), int(low[1])), float("nan"), 0.0)
-    lamp = read_region(image, region, xyz_from_rgb=xyz_from_rgb, clipped=clipped, latlong=latlong)
-    return lamp if alone else replace(lamp, warnings=(*lamp.warnings, *doubts_of_mixing(lamp, xyz_from_rgb)))
-
-
-def doubts_of_mixing(lamp: Lamp, xyz_from_rgb: npt.NDArray[np.float64]) -> tuple[str, ...]:
-    """Return a warning if light of the scene that the lamp may reflect could shift its colour."""
-    xyz = np.asarray(xyz_from_rgb, np.float64) @ lamp.rgb
-    own = xyz - MOST_REFLECTED * D65_XYZ
-    share = min(1.0, MOST_REFLECTED / float(xyz[1]))
-    shift = float(np.hypot(*(uv_from_xyz(xyz) - uv_from_xyz(own)))) if (own > 0).all() else float("inf")
-    if shift <= _MIXED:
-        return ()
-    x, y = lamp.polygon.mean(axis=0)
-    error = f"its u'v' off by up to {shift:.3f}" if np.isfinite(shift) else "its colour that of the scene's light"
-    return (
-        f"balance.lamp: the lamp at ({x:.0f}, {y:.0f}) is {xyz[1]:.2g} times as bright as the chart's white, so up to {share:.0%} of what it "
-        f"shows may be light of the scene that it reflects, and {error} (up to {_MIXED} does no harm). Make it brighter or "
-        "shade it, or photograph the view with the lamp off too (`capture.lamp_off`).",
-    )
 
 
 def _doubts_of_noise(rgb: npt.NDArray[np.float64], noise: npt.NDArray[np.float64], place: str) -> tuple[str, ...]:
@@ -137,22 +69,6 @@ def _doubts_of_noise(rgb: npt.NDArray[np.float64], noise: npt.NDArray[np.float64
     if worst > _TOO_NOISY:
         raise CalibrateError(told)
     return (told,) if worst > _NOISY else ()
-
-
-def rectangle_from_chart(rectangle: tuple[float, float, float, float], chart_corners: Points) -> Points:
-    """Return the polygon [4, 2] in pixels of a rectangle given in the chart's own coordinates.
-
-    `rectangle` is (x, y, width, height): x and width in units of the width of the chart's box, y and height in its height,
-    from its top left; (1.05, 0, 0.1, 1) is a strip at the right of the chart.
-    """
-    x, y, w, h = rectangle
-    if not (np.isfinite(rectangle).all() and w > 0 and h > 0):
-        raise CalibrateError(
-            f"balance.lamp: rectangle {rectangle} in chart coordinates; expected finite x, y, width, height with positive "
-            "width and height. Correct `balance.lamp`."
-        )
-    corners = np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]], dtype=np.float64)
-    return project(image_from_chart(chart_corners), corners * np.array([BOX_WIDTH, BOX_HEIGHT]))
 
 
 def read_region(

@@ -13,6 +13,7 @@ WorkingSpace = Literal["ITU-R BT.2020", "sRGB", "P3-D65", "ACEScg", "ACES2065-1"
 Indoor = Literal["auto", "led", "fluorescent", "incandescent"]
 Pixel = tuple[float, float]
 Share = Annotated[float, Field(ge=0, le=1)]
+Positive = Annotated[float, Field(gt=0)]
 Frames = str | list[str]
 Level = Annotated[float, Field(gt=0, le=65_535)]
 Seconds = Annotated[float, Field(gt=0, le=100_000)]
@@ -165,11 +166,26 @@ class LampOnChart(Settings):
     """x, y, width, height; 1 is the chart's width (for x) or height (for y), from its top left corner."""
 
 
+class LampForm(Settings):
+    """What is known of the lamp that is to be found; it sharpens the search."""
+
+    size: tuple[Positive, Positive] | None = None
+    """Its two sides, or twice its diameter, in widths of the chart (of the 6 × 4 patches: 268 mm on the large chart)."""
+    within: Positive | None = None
+    """It stands at most so far from the chart, edge to edge, in widths of the chart."""
+
+    @model_validator(mode="after")
+    def _says_something(self) -> LampForm:
+        if self.size is None and self.within is None:
+            raise ValueError("says nothing of the lamp: give `size` or `within`, or `auto` alone")
+        return self
+
+
 class BalanceSettings(Settings):
     """Lamp of known spectrum found in the reference → von Kries adaptation."""
 
-    lamp: Literal["auto"] | LampRectangle | LampOnChart = "auto"
-    """`auto`, or where the D65 module is."""
+    lamp: Literal["auto"] | LampForm | LampRectangle | LampOnChart = "auto"
+    """`auto`, what is known of the D65 module that is to be found, or where it is."""
     spectrum: Path | None = None
     """CSV of the lamp's own measured spectrum: wavelength in nm, value; one line each. Left out: the lamp is D65."""
     camera: str | None = None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,22 +9,19 @@ import numpy as np
 import numpy.typing as npt
 
 from envcal import exr, provenance
-from envcal.cameras import sensitivities
 from envcal.config import BalanceSettings, LampOnChart, LampRectangle, PhotometrySettings
 from envcal.errors import EnvcalError
 from envcal.profile import Lamp, Profile, matrix_rows, parse, row
 from envcal.runner import Outcome
-from envcal.spd import read_spd
 from envcal.steps import chart_light
 from envcal.steps.absolute import unit_of_chart
+from envcal.steps.lamp import KnownLamp, read_in_difference, read_in_view
 
 if TYPE_CHECKING:
-    from calibrate.lamp import Lamp as Reading
+    from uplift.spectrum import RGBSpace
 
 Floats = npt.NDArray[np.float64]
 
-#: The chart's patch 19, white, as its reference lists them.
-WHITE_PATCH = 18
 #: What a profile calls the space of the gains where the camera's sensitivities are known.
 CAMERA_RGB_BALANCE = "camera RGB"
 
@@ -43,10 +39,7 @@ def calibrate_on_lamp(
     Files that the settings name start from `folder`. `pair` are the merged shots with the lamp on and off; the lamp is then
     read in their difference.
     """
-    from calibrate.adapt import cone_matrix, von_kries_matrix
-    from calibrate.trained import matrix_of_sensitivities
-    from uplift.illuminants import measured_emission
-    from uplift.spectrum import illuminant, observer, rgb_space, xyz_of
+    from uplift.spectrum import rgb_space
 
     header, image, profile = _read_corrected(corrected)
     if settings.camera is not None and profile.root_terms is not None:
@@ -54,165 +47,78 @@ def calibrate_on_lamp(
             "balance.camera: a matrix from sensitivities takes the place of the chart's, which was fitted as a root-polynomial. "
             "Set `correct.fit: linear`, or leave `balance.camera` out."
         )
+    lamp = KnownLamp.of(settings, folder)
     space = rgb_space(profile.working_space)
-    seen = observer()
-    daylight = illuminant("D65", seen)
-    spectrum = daylight
-    if settings.spectrum is not None:
-        path = folder / settings.spectrum
-        spectrum = measured_emission(*read_spd(path), seen, name=str(path))
-    # (1, 1, 1) for D65 in a space whose white is D65.
-    lamp_xyz = xyz_of(spectrum, seen)
     if pair is None:
-        camera_rgb = _expected(header, settings, spectrum, lamp_xyz, seen.wavelengths_nm, folder)
-        lamp = _read_lamp(header, image, profile, settings, xyz_from_rgb=space.xyz_from_rgb, camera_rgb=camera_rgb)
+        reading = read_in_view(header, image, profile, settings, lamp, xyz_from_rgb=space.xyz_from_rgb)
     else:
-        lamp = _read_pair(pair, profile, settings, xyz_from_rgb=space.xyz_from_rgb)
-    destination = space.rgb_from_xyz @ (lamp_xyz / lamp_xyz[1])
-    transform = settings.transform if settings.camera is None else CAMERA_RGB_BALANCE
-    if settings.camera is None:
-        matrix = von_kries_matrix(
-            lamp.rgb,
-            destination,
-            xyz_from_rgb=space.xyz_from_rgb,
-            transform=settings.transform,
-            luminance=settings.luminance,
-        )
-        cones = cone_matrix(settings.transform, space.xyz_from_rgb)
-        gains = np.diag(cones @ matrix @ np.linalg.inv(cones))
+        reading = read_in_difference(pair, profile, settings, xyz_from_rgb=space.xyz_from_rgb)
+    if lamp.sensitivities is None:
+        matrix, gains = _in_cones(reading.rgb, settings, lamp, space)
     else:
-        spectral = sensitivities(chart_light.place_of(settings.camera, folder), seen.wavelengths_nm)
-        camera_from_rgb = np.linalg.inv(np.asarray(profile.matrix))
-        reading = camera_from_rgb @ lamp.rgb
-        xyz_from_camera = matrix_of_sensitivities(
-            reading,
-            spectral,
-            lamp=spectrum,
-            daylight=daylight,
-            observer=seen.cmfs,
-            wavelengths_nm=seen.wavelengths_nm,
-        )
-        if settings.luminance == "keep":
-            xyz_from_camera = xyz_from_camera * float(space.xyz_from_rgb[1] @ lamp.rgb)
-        matrix = space.rgb_from_xyz @ xyz_from_camera @ camera_from_rgb
-        gains = reading[1] / reading
+        matrix, gains = _in_camera_rgb(reading.rgb, np.asarray(profile.matrix), settings, lamp, space)
+    named = isinstance(settings.lamp, LampRectangle | LampOnChart)
     completed = profile.model_copy(
         update={
             "lamp": Lamp(
-                found="settings" if settings.lamp != "auto" else "auto" if pair is None else "pair",
-                polygon=[(round(float(x), 3), round(float(y), 3)) for x, y in lamp.polygon],
-                pixels=int(lamp.pixels),
-                clipped=int(lamp.clipped),
-                rgb=row(lamp.rgb),
-                noise=row(lamp.noise),
-                transform=transform,
+                found="settings" if named else "auto" if pair is None else "pair",
+                polygon=[(round(float(x), 3), round(float(y), 3)) for x, y in reading.polygon],
+                pixels=int(reading.pixels),
+                clipped=int(reading.clipped),
+                rgb=row(reading.rgb),
+                noise=row(reading.noise),
+                transform=settings.transform if settings.camera is None else CAMERA_RGB_BALANCE,
                 luminance=settings.luminance,
                 cone_gains=row(gains),
                 spectrum=None if settings.spectrum is None else settings.spectrum.name,
                 camera=settings.camera,
             ),
             "balance_matrix": matrix_rows(matrix),
-            "warnings": [*profile.warnings, *lamp.warnings],
+            "warnings": [*profile.warnings, *reading.warnings],
         }
     )
-    light, doubts = chart_light.measure(
-        completed, settings.camera, folder, lamp=None if settings.spectrum is None else spectrum
-    )
+    light, doubts = chart_light.measure(completed, settings.camera, folder, lamp=lamp.measured)
     unit, readings = unit_of_chart(completed, photometry or PhotometrySettings())
     warnings = [*completed.warnings, *doubts, *readings]
     return completed.model_copy(update={"light": light, "unit": unit, "warnings": warnings})
 
 
-def _expected(
-    header: exr.Header,
-    settings: BalanceSettings,
-    spectrum: Floats,
-    lamp_xyz: Floats,
-    wavelengths_nm: Floats,
-    folder: Path,
-) -> Floats | None:
-    """Camera RGB [3] that the lamp should have: by the camera's sensitivities, else by its published matrix, else None."""
-    if settings.camera is not None:
-        return np.asarray(spectrum @ sensitivities(chart_light.place_of(settings.camera, folder), wavelengths_nm))
-    if "envcalCameraFromXYZ" not in header.attributes:
-        return None
-    return np.asarray(np.asarray(header.json("envcalCameraFromXYZ"), np.float64) @ lamp_xyz)
+def _in_cones(rgb: Floats, settings: BalanceSettings, lamp: KnownLamp, space: RGBSpace) -> tuple[Floats, Floats]:
+    """Von Kries gains in a cone space that take the lamp's `rgb` [3] to its own colour: matrix [3, 3] and gains [3]."""
+    from calibrate.adapt import cone_matrix, von_kries_matrix
+
+    matrix = von_kries_matrix(
+        rgb,
+        # (1, 1, 1) for D65 in a space whose white is D65.
+        space.rgb_from_xyz @ (lamp.xyz / lamp.xyz[1]),
+        xyz_from_rgb=space.xyz_from_rgb,
+        transform=settings.transform,
+        luminance=settings.luminance,
+    )
+    cones = cone_matrix(settings.transform, space.xyz_from_rgb)
+    return matrix, np.diag(cones @ matrix @ np.linalg.inv(cones))
 
 
-def _read_lamp(
-    header: exr.Header,
-    image: npt.NDArray[np.float32],
-    profile: Profile,
-    settings: BalanceSettings,
-    *,
-    xyz_from_rgb: Floats,
-    camera_rgb: Floats | None,
-) -> Reading:
-    """The lamp in one picture in working RGB: where the settings say, else the one found."""
-    from calibrate.lamp import find_lamp
+def _in_camera_rgb(
+    rgb: Floats, rgb_from_camera: Floats, settings: BalanceSettings, lamp: KnownLamp, space: RGBSpace
+) -> tuple[Floats, Floats]:
+    """The same in camera RGB, and a matrix from the camera's sensitivities in the place of the chart's."""
+    from calibrate.trained import matrix_of_sensitivities
 
-    if settings.lamp != "auto":
-        return _read_named(image, profile, settings, header, xyz_from_rgb=xyz_from_rgb, alone=False)
-    corners = np.asarray(profile.chart.corners, np.float64)
-    latlong = header.size[1] == 2 * header.size[0]
-    # Root terms are of no account for a colour that is expected to a percent only.
-    expected = None if camera_rgb is None else np.asarray(profile.matrix, np.float64) @ camera_rgb
-    return find_lamp(image, chart_corners=corners, xyz_from_rgb=xyz_from_rgb, expected_rgb=expected, latlong=latlong)
-
-
-def _read_named(
-    image: npt.NDArray[np.float32],
-    profile: Profile,
-    settings: BalanceSettings,
-    header: exr.Header,
-    *,
-    xyz_from_rgb: Floats,
-    alone: bool,
-) -> Reading:
-    """The lamp where the settings say that it is; `alone`: the picture holds no other light."""
-    from calibrate.lamp import measure_lamp, rectangle_from_chart
-
-    latlong = header.size[1] == 2 * header.size[0]
-    if isinstance(settings.lamp, LampRectangle):
-        return measure_lamp(
-            image, rectangle=settings.lamp.rectangle, xyz_from_rgb=xyz_from_rgb, latlong=latlong, alone=alone
-        )
-    assert isinstance(settings.lamp, LampOnChart)
-    polygon = rectangle_from_chart(settings.lamp.chart_rectangle, np.asarray(profile.chart.corners, np.float64))
-    return measure_lamp(image, polygon, xyz_from_rgb=xyz_from_rgb, latlong=latlong, alone=alone)
-
-
-def _read_pair(
-    pair: tuple[Path, Path], profile: Profile, settings: BalanceSettings, *, xyz_from_rgb: Floats
-) -> Reading:
-    """The lamp in the difference of two merged pictures, lamp on and lamp off."""
-    from calibrate.correct import apply_matrix
-    from calibrate.lamp import find_lit_lamp, lamp_alone
-
-    (header, on, sigma_on), (_, off, sigma_off) = (_read_merged(path) for path in pair)
-    white = np.asarray(profile.chart.patches[WHITE_PATCH].camera_rgb)
-    alone = lamp_alone(on, off, sigma_on=sigma_on, sigma_off=sigma_off, white_rgb=white)
-    working = apply_matrix(alone.light, profile.full_matrix())
-    if settings.lamp == "auto":
-        latlong = header.size[1] == 2 * header.size[0]
-        lamp = find_lit_lamp(alone, working, xyz_from_rgb=xyz_from_rgb, latlong=latlong)
-    else:
-        lamp = _read_named(working, profile, settings, header, xyz_from_rgb=xyz_from_rgb, alone=True)
-    return dataclasses.replace(lamp, warnings=(*alone.warnings, *lamp.warnings))
-
-
-def _read_merged(path: Path) -> tuple[exr.Header, npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    header, image = exr.read_rgb(path)
-    names = [f"sigma.{channel}" for channel in "RGB"]
-    if header.attributes.get("envcalSpace") != provenance.CAMERA_RGB or any(n not in header.channels for n in names):
-        raise EnvcalError(
-            f"{path}: is no merged bracket with its noise, which the difference of lamp on and lamp off needs. Make it with "
-            "`envcal merge FRAME… -o merged.exr --set deviation=true`."
-        )
-    _, planes = exr.read(path, [*names, "lost"])
-    # Lost light may have been filled with what nobody measured.
-    image = np.where(planes["lost"][..., None] > 0, np.float32(np.nan), image)
-    return header, image, np.stack([planes[name] for name in names], axis=2)
+    assert lamp.sensitivities is not None
+    camera_from_rgb = np.linalg.inv(rgb_from_camera)
+    camera_rgb = camera_from_rgb @ rgb
+    xyz_from_camera = matrix_of_sensitivities(
+        camera_rgb,
+        lamp.sensitivities,
+        lamp=lamp.spectrum,
+        daylight=lamp.daylight,
+        observer=lamp.observer.cmfs,
+        wavelengths_nm=lamp.observer.wavelengths_nm,
+    )
+    if settings.luminance == "keep":
+        xyz_from_camera = xyz_from_camera * float(space.xyz_from_rgb[1] @ rgb)
+    return space.rgb_from_xyz @ xyz_from_camera @ camera_from_rgb, camera_rgb[1] / camera_rgb
 
 
 def balance(
