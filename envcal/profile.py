@@ -87,14 +87,14 @@ class Lamp(_Part):
     """Working RGB before the balance."""
     noise: Row
     transform: str
-    """Cone space, or `camera RGB` where the camera's sensitivities were given."""
+    """Cone space, or `camera RGB` where the matrix comes from the camera's sensitivities."""
     luminance: str
     cone_gains: Row
     """Gains along the axes of that space."""
     spectrum: str | None = None
     """File of the lamp's measured spectrum; None: D65."""
     camera: str | None = None
-    """Sensitivities the matrix comes from; None: from the chart."""
+    """Sensitivities the matrix comes from, `estimated` if from chart and lamp; None: the matrix is the chart's."""
 
 
 class ChartLight(_Part):
@@ -104,6 +104,10 @@ class ChartLight(_Part):
     """Whose sensitivities were used; empty: unknown, fitted together with the light."""
     camera_loss: float
     """How many times larger the standard deviation is for not knowing the camera."""
+    camera_unlikely: float | None = None
+    """How far the camera estimated is from what cameras are like: mean square of standard deviations, 1 is common."""
+    sensitivities: list[Row] = Field(default_factory=list)
+    """Of the camera, given or estimated, at `wavelengths_nm`; each channel's response to the lamp is 1."""
     wavelengths_nm: list[float]
     emission: list[float]
     """Relative spectral power to be used, Y = 1."""

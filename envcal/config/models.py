@@ -189,11 +189,11 @@ class BalanceSettings(Settings):
     spectrum: Path | None = None
     """CSV of the lamp's own measured spectrum: wavelength in nm, value; one line each. Left out: the lamp is D65."""
     camera: str | None = None
-    """The camera's spectral sensitivities: a file (CSV, or JSON as of rawtoaces) or a name that colour-science knows. The
-    lamp is then balanced in camera RGB, the matrix comes from the sensitivities instead of from the chart (`correct.fit`
-    has to be linear), and the chart measures its light's spectrum with them; left out, that fits the camera along."""
-    transform: Literal["CAT16", "Bradford", "CAT02", "Von Kries", "XYZ Scaling", "RGB"] = "CAT16"
-    """The cone space in which the gains act."""
+    """The camera's spectral sensitivities: a file (CSV, or JSON as of rawtoaces) or a name that colour-science knows. Left
+    out, they are estimated from chart and lamp, together with the spectrum of the chart's light."""
+    transform: Literal["auto", "CAT16", "Bradford", "CAT02", "Von Kries", "XYZ Scaling", "RGB"] = "auto"
+    """Where the gains act. `auto`: in camera RGB, and the matrix comes from the camera's sensitivities, given or estimated, instead of
+    from the chart (if `correct.fit` is linear and the estimate explains the chart; else as CAT16). Or a cone space, on the chart's matrix."""
     luminance: Literal["lamp", "keep"] = "lamp"
     """`lamp`: the lamp reads exactly as D65 of luminance 1, which is (1, 1, 1) where the working space's white is D65.
     `keep`: only its colour becomes that of D65; 1 stays a white diffuser at the chart."""

@@ -24,6 +24,12 @@ Floats = npt.NDArray[np.float64]
 
 #: What a profile calls the space of the gains where the camera's sensitivities are known.
 CAMERA_RGB_BALANCE = "camera RGB"
+#: What a profile names as the camera where its sensitivities were estimated from chart and lamp.
+ESTIMATED = "estimated"
+_CHART_ALONE = (
+    "nothing is known of the camera's sensitivities that explains the chart, so colours come from the chart's own matrix: they are "
+    "right in the light on the chart, and in others off by ΔE 4 and more. Give the sensitivities (`balance.camera`)."
+)
 
 
 def calibrate_on_lamp(
@@ -42,10 +48,10 @@ def calibrate_on_lamp(
     from uplift.spectrum import rgb_space
 
     header, image, profile = _read_corrected(corrected)
-    if settings.camera is not None and profile.root_terms is not None:
+    if settings.camera is not None and settings.transform == "auto" and profile.root_terms is not None:
         raise EnvcalError(
             "balance.camera: a matrix from sensitivities takes the place of the chart's, which was fitted as a root-polynomial. "
-            "Set `correct.fit: linear`, or leave `balance.camera` out."
+            "Set `correct.fit: linear`, or `balance.transform: CAT16`, or leave `balance.camera` out."
         )
     lamp = KnownLamp.of(settings, folder)
     space = rgb_space(profile.working_space)
@@ -53,10 +59,15 @@ def calibrate_on_lamp(
         reading = read_in_view(header, image, profile, settings, lamp, xyz_from_rgb=space.xyz_from_rgb)
     else:
         reading = read_in_difference(pair, profile, settings, xyz_from_rgb=space.xyz_from_rgb)
-    if lamp.sensitivities is None:
+    light, doubts = chart_light.measure(profile, reading.rgb, settings.camera, folder, lamp=lamp.measured)
+    sensitivities = None
+    if settings.transform == "auto" and profile.root_terms is None:
+        sensitivities = chart_light.estimated_camera(light) if settings.camera is None else lamp.sensitivities
+        doubts += [_CHART_ALONE] if sensitivities is None else []
+    if sensitivities is None:
         matrix, gains = _in_cones(reading.rgb, settings, lamp, space)
     else:
-        matrix, gains = _in_camera_rgb(reading.rgb, np.asarray(profile.matrix), settings, lamp, space)
+        matrix, gains = _in_camera_rgb(reading.rgb, sensitivities, np.asarray(profile.matrix), settings, lamp, space)
     named = isinstance(settings.lamp, LampRectangle | LampOnChart)
     completed = profile.model_copy(
         update={
@@ -67,17 +78,16 @@ def calibrate_on_lamp(
                 clipped=int(reading.clipped),
                 rgb=row(reading.rgb),
                 noise=row(reading.noise),
-                transform=settings.transform if settings.camera is None else CAMERA_RGB_BALANCE,
+                transform=_cones(settings) if sensitivities is None else CAMERA_RGB_BALANCE,
                 luminance=settings.luminance,
                 cone_gains=row(gains),
                 spectrum=None if settings.spectrum is None else settings.spectrum.name,
-                camera=settings.camera,
+                camera=None if sensitivities is None else settings.camera or ESTIMATED,
             ),
             "balance_matrix": matrix_rows(matrix),
             "warnings": [*profile.warnings, *reading.warnings],
         }
     )
-    light, doubts = chart_light.measure(completed, settings.camera, folder, lamp=lamp.measured)
     unit, readings = unit_of_chart(completed, photometry or PhotometrySettings())
     warnings = [*completed.warnings, *doubts, *readings]
     return completed.model_copy(update={"light": light, "unit": unit, "warnings": warnings})
@@ -92,25 +102,33 @@ def _in_cones(rgb: Floats, settings: BalanceSettings, lamp: KnownLamp, space: RG
         # (1, 1, 1) for D65 in a space whose white is D65.
         space.rgb_from_xyz @ (lamp.xyz / lamp.xyz[1]),
         xyz_from_rgb=space.xyz_from_rgb,
-        transform=settings.transform,
+        transform=_cones(settings),
         luminance=settings.luminance,
     )
-    cones = cone_matrix(settings.transform, space.xyz_from_rgb)
+    cones = cone_matrix(_cones(settings), space.xyz_from_rgb)
     return matrix, np.diag(cones @ matrix @ np.linalg.inv(cones))
 
 
+def _cones(settings: BalanceSettings) -> str:
+    return "CAT16" if settings.transform == "auto" else settings.transform
+
+
 def _in_camera_rgb(
-    rgb: Floats, rgb_from_camera: Floats, settings: BalanceSettings, lamp: KnownLamp, space: RGBSpace
+    rgb: Floats,
+    sensitivities: Floats,
+    rgb_from_camera: Floats,
+    settings: BalanceSettings,
+    lamp: KnownLamp,
+    space: RGBSpace,
 ) -> tuple[Floats, Floats]:
-    """The same in camera RGB, and a matrix from the camera's sensitivities in the place of the chart's."""
+    """The same in camera RGB, and a matrix from the camera's `sensitivities` [N, 3] in the place of the chart's."""
     from calibrate.trained import matrix_of_sensitivities
 
-    assert lamp.sensitivities is not None
     camera_from_rgb = np.linalg.inv(rgb_from_camera)
     camera_rgb = camera_from_rgb @ rgb
     xyz_from_camera = matrix_of_sensitivities(
         camera_rgb,
-        lamp.sensitivities,
+        sensitivities,
         lamp=lamp.spectrum,
         daylight=lamp.daylight,
         observer=lamp.observer.cmfs,

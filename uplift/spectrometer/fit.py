@@ -29,7 +29,8 @@ class Fit:
     """A posterior with the reading it explains: `A` [72, N], `covariance` [72, 72] of all errors.
 
     `residual` [72] is what the light leaves, seen by the camera that was last linearised about; `explained` [72] what the
-    light reads with the camera that was found; `camera` is as given.
+    light reads with the camera that was found; `camera` is as given. `curves` [N, 3] are the camera's sensitivities, given or found, and
+    `unlikely` is how far those found lie from the mean of the model: the square of standard deviations over the number of directions.
     """
 
     posterior: Posterior
@@ -39,7 +40,9 @@ class Fit:
     residual: Floats
     explained: Floats
     chi2: float  # per degree of freedom
+    curves: Floats
     fixed_camera: Floats | None = None  # [72, 72] of the errors if the camera were known to be what was found
+    unlikely: float = 0.0
 
 
 #: What else may be in the readings, as vectors [J, 72] of one standard deviation, from A [72, N] and the light [N].
@@ -68,7 +71,7 @@ def fit(
         errors = covariance(reading, A, light, observer) + _errors_of(more, A, light, observer)
         found = posterior(reading.flat, A, errors, prior, positive=turn == KNOWN_ROUNDS - 1)
         light = found.light
-    return _judged(reading.flat, A, errors, found, camera)
+    return _judged(reading.flat, A, errors, found, camera, camera)
 
 
 def _unknown(
@@ -95,7 +98,8 @@ def _unknown(
         light = found.light if turn == 0 else DAMPING * found.light + (1 - DAMPING) * light
         off = J.T @ np.linalg.solve(errors, seen - A @ found.light) - amounts
         amounts, explained = amounts + DAMPING * off, A @ found.light + J @ off
-    return replace(_judged(seen, A, errors, found, model), explained=explained, fixed_camera=fixed)
+    judged = _judged(seen, A, errors, found, model, model.curves(amounts))
+    return replace(judged, explained=explained, fixed_camera=fixed, unlikely=float(amounts @ amounts) / len(amounts))
 
 
 def _errors_of(more: More | None, A: Floats, light: Floats, observer: Observer) -> Floats | float:
@@ -119,8 +123,10 @@ def _start(reading: Reading, A: Floats, observer: Observer) -> Floats:
     return np.asarray(day * (reading.flat.mean() / (A @ day).mean()))
 
 
-def _judged(m: Floats, A: Floats, errors: Floats, found: Posterior, camera: Floats | CameraModel) -> Fit:
+def _judged(
+    m: Floats, A: Floats, errors: Floats, found: Posterior, camera: Floats | CameraModel, curves: Floats
+) -> Fit:
     explained = A @ found.light
     residual = m - explained
     chi2 = float(residual @ np.linalg.solve(errors, residual)) / max(m.size - found.freedom, 1.0)
-    return Fit(found, camera, A, errors, residual, explained, chi2)
+    return Fit(found, camera, A, errors, residual, explained, chi2, curves)

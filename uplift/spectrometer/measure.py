@@ -36,7 +36,9 @@ class MeasuredLight:
     deviations; the probability of each family; `chi2` per degree of freedom; `refused`: why it must not be used, or "";
     `camera_loss`: how many times larger the standard deviation is for not knowing the camera (1: it is known);
     `trusted`: the share in `emission` of `measured` [N], Y = 1, the rest being a smooth one of its colour (`safety`), whose
-    distance `sigma` then includes; `explained` [24, 3]: what the fit says that the patches should have read.
+    distance `sigma` then includes; `explained` [24, 3]: what the fit says that the patches should have read; `camera` [N, 3]: its
+    sensitivities, given or found with the light, each channel's response to the lamp 1, and `camera_unlikely` how far those found are from
+    what cameras are like (mean square of standard deviations; 1 is common).
     """
 
     emission: Floats
@@ -52,6 +54,8 @@ class MeasuredLight:
     camera_loss: float
     trusted: float
     explained: Floats
+    camera: Floats
+    camera_unlikely: float
 
     @property
     def family(self) -> str:
@@ -141,6 +145,8 @@ def measure_light(
         camera_loss=_loss(found, known),
         trusted=share,
         explained=found.explained.reshape(24, 3),
+        camera=found.curves,
+        camera_unlikely=found.unlikely,
     )
 
 
