@@ -59,7 +59,7 @@ def calibrate_on_lamp(
         reading = read_in_view(header, image, profile, settings, lamp, xyz_from_rgb=space.xyz_from_rgb)
     else:
         reading = read_in_difference(pair, profile, settings, xyz_from_rgb=space.xyz_from_rgb)
-    light, doubts = chart_light.measure(profile, reading.rgb, settings.camera, folder, lamp=lamp.measured)
+    light, doubts = chart_light.measure(profile, settings.camera, folder, lamp=lamp.measured, lamp_rgb=reading.rgb)
     sensitivities = None
     if settings.transform == "auto" and profile.root_terms is None:
         sensitivities = chart_light.estimated_camera(light) if settings.camera is None else lamp.sensitivities

@@ -31,14 +31,14 @@ _MOST_CHI2, _MOST_UNLIKELY = 1.5, 6.0
 
 def measure(
     profile: Profile,
-    lamp_rgb: npt.NDArray[np.float64],
     camera: str | None,
     folder: Path,
     *,
     lamp: npt.NDArray[np.float64] | None = None,
+    lamp_rgb: npt.NDArray[np.float64] | None = None,
 ) -> tuple[ChartLight | None, list[str]]:
-    """Return the light on the chart of a profile, and warnings. `lamp_rgb` [3] is what the lamp reads in the profile's working
-    RGB; `camera` is a name or a file.
+    """Return the light on the chart of a profile that knows its lamp, and warnings. `camera` is a name or a file; `lamp_rgb` [3]
+    is what the lamp reads in the profile's working RGB, if the profile does not say it yet.
 
     `lamp` [N] is the spectrum of the profile's lamp on the standard observer's grid; None: D65. A light that was refused is
     returned too, with the reason; it is kept in the profile and not used.
@@ -48,7 +48,9 @@ def measure(
     from uplift.spectrometer import measure_light, reading_of
     from uplift.spectrum import observer
 
-    if len(profile.chart.patches) != 24:
+    if lamp_rgb is None:
+        lamp_rgb = None if profile.lamp is None else np.asarray(profile.lamp.rgb)
+    if lamp_rgb is None or len(profile.chart.patches) != 24:
         return None, []
     if profile.root_terms is not None:
         # What the camera read of the lamp cannot be had back from working RGB then.

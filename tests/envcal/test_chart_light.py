@@ -10,10 +10,11 @@ import pytest
 
 from envcal import cameras, exr, profile
 from envcal.errors import EnvcalError
-from envcal.steps.chart_light import given, measure
+from envcal.steps.chart_light import estimated_camera, given, measure
 from uplift.illuminants import cct_duv_of, family_emission
 from uplift.lights import Light
 from uplift.spectrometer import chart_reflectances
+from uplift.spectrometer.camera import typical_camera
 from uplift.spectrum import illuminant, observer, xyz_of
 
 EYES = observer()
@@ -109,6 +110,21 @@ def test_the_profile_tells_the_spectrum_on_its_chart(camera, loss):
     assert np.linalg.norm(np.array(light.emission) - lamp) < NEAR * np.linalg.norm(lamp)
     assert light.family == "led" and light.camera == (camera or "")
     assert (light.camera_loss > 1) == loss
+
+
+def test_an_unknown_camera_is_estimated_from_chart_and_lamp_and_one_like_no_other_is_not_believed():
+    found, _ = measure(a_profile(illuminant("A", EYES)), None, Path())
+    estimated = estimated_camera(found)
+    day = illuminant("D65", EYES)
+    true = curves() / (day @ curves() * EYES.step_nm)
+    # To the first order in the directions, and without negative values.
+    np.testing.assert_allclose(day @ estimated * EYES.step_nm, 1.0, rtol=2e-3)
+    mean = typical_camera(EYES).mean
+    assert np.linalg.norm(estimated - true) < 0.8 * np.linalg.norm(mean - true)
+    assert estimated_camera(found.model_copy(update={"camera_unlikely": 22.0})) is None
+    assert estimated_camera(found.model_copy(update={"chi2": 4.9})) is None
+    given_one, _ = measure(a_profile(illuminant("A", EYES)), CAMERA, Path())
+    assert estimated_camera(given_one) is None and estimated_camera(None) is None
 
 
 def test_beside_a_lamp_of_its_own_spectrum_the_light_is_measured_too():
