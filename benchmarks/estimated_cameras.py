@@ -68,7 +68,7 @@ def matrices(
     adapted = von_kries_matrix(fit.matrix @ lamp, day @ EYES.cmfs, xyz_from_rgb=np.eye(3), transform="CAT16")
     model = model_of(*fitted_model(others, EYES.wavelengths_nm, DIRECTIONS), EYES)
     found = measure_light(
-        reading_of(patches, NOISE * patches, lamp), camera=model, observer=EYES, reflectances=reflectances
+        reading_of(patches, NOISE * np.abs(patches), lamp), camera=model, observer=EYES, reflectances=reflectances
     )
 
     def trained(curves: Floats) -> Floats:
