@@ -21,6 +21,9 @@ Regression", 2015) adds √rg, √gb, √rb to r, g, b: every term scales as the
 polynomial it means the same at every exposure. Degree 3 over-fits 24 patches and is not offered. ``"auto"`` takes it where
 it predicts patches that it has not seen clearly better than the matrix does (mean CIEDE2000, each left out once).
 
+A colour that stands on the chart n times counts 1/n each time (an SG is framed by 44 whites, greys and blacks, which would
+outweigh its colours); all of them tell the fall-off.
+
 Glare and dirt spoil single patches. Those that the others' fit misses by far (see `_OUTLIER_FACTOR`) are left out, and named;
 with more than a few of them the chart is refused.
 """
@@ -36,13 +39,9 @@ from calibrate import CalibrateError
 from calibrate.difference import delta_e_2000, lab_from_xyz
 
 if TYPE_CHECKING:
+    from calibrate.chart.geometry import Layout
     from calibrate.chart.reference import ChartReference
 
-WHITE_PATCH: Final = 18
-NEUTRAL_PATCHES: Final = slice(18, 24)
-
-# The patches' places on the chart: columns and rows from −½ to ½.
-_PLACES: Final = np.stack([np.arange(24) % 6 / 5 - 0.5, np.arange(24) // 6 / 3 - 0.5], axis=-1)
 _UNEVEN_LIGHT: Final = 1.6
 _MOST_STEPS: Final = 12
 _DIFFERENCE: Final = 1e-5
@@ -53,7 +52,9 @@ _DIFFERENCE: Final = 1e-5
 _OUTLIER_FACTOR: Final = 4.0
 _OUTLIER_DELTA_E: Final = 8.0
 _OUTLIER_LUMINANCE: Final = 1.25
-_MOST_OUTLIERS: Final = 4
+_MOST_OUTLIERS: Final = 6  # one patch in so many
+# Published colours nearer than this (CIEDE2000) are one that stands there several times; those of a Classic are 7 apart.
+_SAME_COLOUR: Final = 2.0
 # The root-polynomial must predict what it has not seen by this part better; it has twice as many numbers to fit.
 _CLEARLY_BETTER: Final = 0.85
 # A fit as bad as this is none: the largest mean met with cameras of the literature under CIE lamps was 4.3.
@@ -72,9 +73,9 @@ class ColourFit:
     """A fitted camera matrix and how well it does, patch by patch.
 
     `matrix` [3, 3] is RGB_from_camera; for a root-polynomial it is [3, 6] and multiplies (r, g, b, √rg, √gb, √rb).
-    `left_out` [24] marks patches that were spoilt and have no part in the fit. `model` is the one that was taken. `delta_e` and `delta_e_loo` [24] are CIEDE2000 under D65 against the reference;
-    for the latter each patch is left out of the fit that predicts it. `fitted_rgb` and `target_rgb` [24, 3] are linear
-    working RGB, 1 = a perfect white diffuser. `shading` [24] is the relative light on each patch (geometric mean 1), which
+    `left_out` [N] marks patches that were spoilt and have no part in the fit. `model` is the one that was taken. `delta_e` and `delta_e_loo` [N] are CIEDE2000 under D65 against the reference;
+    for the latter each patch is left out of the fit that predicts it. `fitted_rgb` and `target_rgb` [N, 3] are linear
+    working RGB, 1 = a perfect white diffuser. `shading` [N] is the relative light on each patch (geometric mean 1), which
     `fitted_rgb` and the differences are free of. `white_preserved` says what was held exactly.
     """
 
@@ -111,13 +112,13 @@ def fit_matrix(
     Parameters
     ----------
     camera_rgb
-        Shape (24, 3). Mean camera RGB of each patch, linear, any scale, in the order of `reference`.
+        Shape (N, 3), of a Classic (24, 3). Mean camera RGB of each patch, linear, any scale, in the order of `reference`.
     reference
         Published XYZ under D65, Y of a perfect white = 1.
     rgb_from_xyz
         Shape (3, 3). Working RGB of D65 white is (1, 1, 1).
     white_preserving
-        Hold a white exactly: the white patch, or with ``white="neutrals"`` the mean of the six neutral patches (steadier
+        Hold a white exactly: the white patch, or with ``white="neutrals"`` the mean of a scale of six greys (steadier
         when the white patch is dirty or shiny).
     weighting
         ``"linear"`` or ``"lightness"``, see the module.
@@ -139,9 +140,10 @@ def fit_matrix(
             f"correct.fit: {model!r} is unknown; expected 'linear', 'root-polynomial' or 'auto'. Set `correct.fit: linear`."
         )
     camera = np.asarray(camera_rgb, dtype=np.float64)
-    _check_patches(camera, reference.names)
+    _check_patches(camera, reference)
     xyz = np.asarray(reference.XYZ, dtype=np.float64)
-    weights = {"lightness": xyz[:, 1] ** (-4 / 3), "linear": np.ones(len(xyz))}.get(weighting)
+    once = _once(xyz)
+    weights = {"lightness": once * xyz[:, 1] ** (-4 / 3), "linear": once}.get(weighting)
     if weights is None:
         raise CalibrateError(
             f"correct.weighting: {weighting!r} is unknown; expected 'linear' or 'lightness'. "
@@ -151,8 +153,8 @@ def fit_matrix(
         raise CalibrateError(
             f"correct.shading: {shading!r} is unknown; expected 'plane' or 'none'. Set `correct.shading: plane`."
         )
-    held = _held_patches(white_preserving, white, len(camera))
-    places = _PLACES if shading == "plane" else np.zeros((len(camera), 0))
+    held = _held_patches(white_preserving, white, reference.layout)
+    places = reference.layout.places if shading == "plane" else np.zeros((len(camera), 0))
     settings = {"weights": weights, "held": held, "places": places}
     fits = {}
     for kind in ("linear", "root-polynomial") if model == "auto" else (model,):
@@ -234,11 +236,11 @@ def _spoilt_patches(
         if missed < max(_OUTLIER_DELTA_E, _OUTLIER_FACTOR * median) or changed < _OUTLIER_LUMINANCE:
             return left_out
         left_out[worst] = True
-        if left_out.sum() > _MOST_OUTLIERS:
+        if left_out.sum() > len(terms) // _MOST_OUTLIERS:
             spoilt = ", ".join(name for name, out in zip(names, left_out, strict=True) if out)
             raise CalibrateError(
                 f"correct.chart: {left_out.sum()} patches ({spoilt}) differ by far from what the others predict; at most "
-                f"{_MOST_OUTLIERS} may. Something covers the chart, it is lit by two lights, it shines, or the edition is "
+                f"{len(terms) // _MOST_OUTLIERS} may. Something covers the chart, it is lit by two lights, it shines, or the edition is "
                 "another one (`correct.reference`). Photograph it again, turned away from the lamps, or give its corners."
             )
 
@@ -293,7 +295,15 @@ def apply_matrix(image: npt.NDArray[np.float32], matrix: npt.NDArray[np.float64]
     return np.asarray(cv2.transform(pixels, np.asarray(matrix, dtype=np.float64)), dtype=np.float32)
 
 
-def _check_patches(camera: npt.NDArray[np.float64], names: tuple[str, ...]) -> None:
+def _once(xyz: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """One over how often the colour of each patch [N] stands on the chart."""
+    lab = lab_from_xyz(xyz)
+    alike = delta_e_2000(np.repeat(lab, len(lab), axis=0), np.tile(lab, (len(lab), 1))) < _SAME_COLOUR
+    return np.asarray(1.0 / alike.reshape(len(lab), -1).sum(axis=1))
+
+
+def _check_patches(camera: npt.NDArray[np.float64], reference: "ChartReference") -> None:
+    names, white = reference.names, reference.layout.white_patch
     if camera.shape != (len(names), 3):
         raise CalibrateError(
             f"correct: camera RGB of shape {camera.shape}; expected ({len(names)}, 3), one row a patch. "
@@ -305,9 +315,9 @@ def _check_patches(camera: npt.NDArray[np.float64], names: tuple[str, ...]) -> N
             f"correct: no finite camera RGB for {', '.join(bad)}; every patch must be measured. Add a shorter "
             "exposure if the patch is clipped, or set the corners in `correct.chart`."
         )
-    if (camera[WHITE_PATCH] <= 0).any():
+    if (camera[white] <= 0).any():
         raise CalibrateError(
-            f"correct: the white patch reads {camera[WHITE_PATCH].round(5).tolist()}; all channels must be positive. "
+            f"correct: the white patch reads {camera[white].round(5).tolist()}; all channels must be positive. "
             "Check the black level, or set the corners in `correct.chart`."
         )
     spread = np.linalg.svd(camera, compute_uv=False)
@@ -318,14 +328,14 @@ def _check_patches(camera: npt.NDArray[np.float64], names: tuple[str, ...]) -> N
         )
 
 
-def _held_patches(white_preserving: bool, white: str, count: int) -> npt.NDArray[np.bool_]:
-    held = np.zeros(count, dtype=np.bool_)
+def _held_patches(white_preserving: bool, white: str, layout: "Layout") -> npt.NDArray[np.bool_]:
+    held = np.zeros(layout.count, dtype=np.bool_)
     if white not in {"patch", "neutrals"}:
         raise CalibrateError(
             f"correct.white: {white!r} is unknown; expected 'patch' or 'neutrals'. Set `correct.white: patch`."
         )
     if white_preserving:
-        held[WHITE_PATCH if white == "patch" else NEUTRAL_PATCHES] = True
+        held[[layout.white_patch] if white == "patch" else list(layout.neutrals)] = True
     return held
 
 

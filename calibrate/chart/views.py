@@ -44,6 +44,12 @@ class View:
         rays = centred @ self.axes[:2] + self.axes[2]
         return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 
+    def before(self, points: Points) -> bool:
+        """Whether view pixels [..., 2] are at less than 60° from the middle of the view, where a flat chart is seen as one."""
+        return bool(
+            np.hypot(*np.moveaxis(points - (self.side - 1) / 2, -1, 0)).max() < self.focal_px * np.tan(np.pi / 3)
+        )
+
     def points(self, directions: Points) -> Points:
         """Return the view pixels [..., 2] of directions [..., 3] before it, the inverse of `directions`."""
         local = directions @ self.axes.T
