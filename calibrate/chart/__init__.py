@@ -1,6 +1,6 @@
 """ColorChecker charts: their published colours, where they stand in an image, and what their patches read."""
 
-from calibrate.chart.detect import find_chart, find_charts
+from calibrate.chart.detect import find_chart, find_charts, other_charts
 from calibrate.chart.geometry import CLASSIC, CLASSIC_ON_SG, SG, ChartFound, Layout, chart_from_corners
 from calibrate.chart.patches import Patches, measure_patches
 from calibrate.chart.reference import (
@@ -29,4 +29,5 @@ __all__ = [
     "find_charts",
     "measure_patches",
     "measured_reference",
+    "other_charts",
 ]

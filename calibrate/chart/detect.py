@@ -26,7 +26,8 @@ from calibrate.chart.judge import LARGEST_SCORE, best_orders, glances
 from calibrate.chart.reference import SG_AFTER_2014, ChartReference, chart_reference
 from calibrate.chart.search import Candidate, Known, further_in_picture, search_picture
 from calibrate.chart.search_map import further_in_map, search_map, through
-from calibrate.chart.views import View
+from calibrate.chart.views import View, directions_on_map
+from calibrate.chart.zones import relative_logarithm
 
 # Where the 140 patches of an SG fit as well as this around what was taken for a Classic, it is one. Elsewhere they differ by 20.
 _IS_SG: Final = 12.0
@@ -64,22 +65,40 @@ def find_charts(
 ) -> tuple[ChartFound, ...]:
     """Return every chart of the kind of `reference` in `image`, as `find_chart` returns one: the largest of those that fit best first.
 
-    Of a further chart the corners must be beyond doubt; one that is much smaller than the picture (less than 100 of 1500 pixels
-    across) is not looked for. Raises as `find_chart`.
+    See `other_charts` for what counts as a further one. Raises as `find_chart`.
     """
     pixels, known = _checked(image), reference or chart_reference()
-    main = _main(pixels, known, latlong=latlong, largest_score=LARGEST_SCORE)
-    seen = [main]
-    search = further_in_map if latlong else further_in_picture
-    for found in search(pixels, known, Known(*main)):
-        candidate, view = found
-        whole = view is not None or _inside(candidate, known, pixels.shape[:2])
-        if candidate.aligned and candidate.score <= _SURELY and not candidate.mirrored and whole:
-            seen.append(found)
-    charts = [_record(*each, known) for each in seen]
+    main = _record(*_main(pixels, known, latlong=latlong, largest_score=LARGEST_SCORE), known)
+    charts = [main, *other_charts(pixels, main, known, latlong=latlong)]
     best = min(chart.score for chart in charts)
-    ranked = sorted(charts, key=lambda c: (c.score > best + _FITS_AS_WELL, -abs(signed_area(c.corners))))
-    return tuple(ranked)
+    charts.sort(key=lambda chart: (chart.score > best + _FITS_AS_WELL, -abs(signed_area(chart.corners))))
+    return tuple(charts)
+
+
+def other_charts(
+    image: npt.NDArray[np.float32],
+    chart: ChartFound,
+    reference: ChartReference | None = None,
+    *,
+    latlong: bool = False,
+) -> tuple[ChartFound, ...]:
+    """Return the charts of the kind of `reference` in `image` beside one that is known.
+
+    They must fit the published colours beyond doubt. One that is small in the picture, less than 100 pixels across where the
+    picture's long side is brought to 1500, is not looked for: it would cost more than the search for the first one.
+    """
+    pixels, known = _checked(image), reference or chart_reference()
+    found: list[tuple[Candidate, View | None]] = []
+    if latlong:
+        found += further_in_map(pixels, known, Known(directions_on_map(chart.corners, pixels.shape[:2])))
+    else:
+        further = further_in_picture(pixels, relative_logarithm(pixels), known, Known(chart.corners))
+        found += [(each, None) for each in further if _inside(each, known, pixels.shape[:2])]
+    return tuple(
+        _record(candidate, view, known)
+        for candidate, view in found
+        if candidate.aligned and candidate.score <= _SURELY and not candidate.mirrored
+    )
 
 
 def _checked(image: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
@@ -96,7 +115,9 @@ def _main(
 ) -> tuple[Candidate, View | None]:
     """Return the likeliest chart, or refuse what is none."""
     layout = known.layout
-    candidate, view = search_map(pixels, known) if latlong else (search_picture(pixels, known), None)
+    candidate, view = (
+        search_map(pixels, known) if latlong else (search_picture(pixels, relative_logarithm(pixels), known), None)
+    )
     if candidate is None:
         raise CalibrateError(
             f"correct.chart: no {layout.name} found at any size; expected one with {layout.count} patches in full view. "

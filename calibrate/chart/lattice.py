@@ -45,7 +45,7 @@ def grids(zones: Zones, layout: Layout = CLASSIC) -> Iterator[tuple[Places, npt.
     used = np.zeros(len(zones.centres), dtype=np.bool_)
     grown = 0
     for seed, first, second in _spans(zones, tree):
-        if used[seed] or grown >= _MOST_LATTICES:
+        if used[seed]:
             continue
         places, indices = _grown(zones.centres, zones.areas, seed, first, second, layout.columns + 1)
         if len(indices) < LEAST_POINTS:
@@ -53,6 +53,8 @@ def grids(zones: Zones, layout: Layout = CLASSIC) -> Iterator[tuple[Places, npt.
         grown += 1
         used[indices] = True
         yield places, indices
+        if grown == _MOST_LATTICES:
+            return
 
 
 def _spans(zones: Zones, tree: cKDTree) -> Iterator[tuple[int, Points, Points]]:
@@ -87,9 +89,9 @@ def _spans(zones: Zones, tree: cKDTree) -> Iterator[tuple[int, Points, Points]]:
     hit = (distance < reach[:, None]) & (ratio < _LARGEST_RATIO) & (ratio > 1 / _LARGEST_RATIO)
     # Among equally supported spans the shorter one is the basis, the longer one a combination.
     support = hit.sum(axis=1) - 0.5 * (np.hypot(*u.T) + np.hypot(*v.T)) / (8.0 * np.sqrt(zones.areas[seed]))
-    for best in np.argsort(-support, kind="stable"):
-        if hit[best].sum() < _LEAST_SUPPORT:
-            return
+    order = np.argsort(-support, kind="stable")
+    weak = np.flatnonzero(hit.sum(axis=1)[order] < _LEAST_SUPPORT)
+    for best in order[: weak[0] if weak.size else None]:
         yield int(seed[best]), u[best], v[best]
 
 

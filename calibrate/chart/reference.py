@@ -47,7 +47,7 @@ class ChartReference:
     """A chart's colours: `names` [N] row by row (of a Classic from dark skin), and `XYZ` [N, 3] under D65.
 
     Y of a perfect white diffuser is 1; D65 is the chromaticity (0.3127, 0.3290) of the RGB standards. `published` if they are not
-    those of this very chart.
+    those of this very chart. `wavelengths_nm` [W] and `reflectances` [N, W] where they were measured.
     """
 
     name: str
@@ -55,6 +55,8 @@ class ChartReference:
     XYZ: npt.NDArray[np.float64]
     layout: Layout = CLASSIC
     published: bool = False
+    wavelengths_nm: npt.NDArray[np.float64] | None = None
+    reflectances: npt.NDArray[np.float64] | None = None
 
 
 @functools.cache
@@ -79,11 +81,18 @@ def chart_reference(name: str = AFTER_2014) -> ChartReference:
     return ChartReference(name=name, names=names, XYZ=adapted, layout=_LAYOUTS[len(names)], published=True)
 
 
-def measured_reference(name: str, xyz: npt.NDArray[np.float64], *, white: npt.NDArray[np.float64]) -> ChartReference:
+def measured_reference(
+    name: str,
+    xyz: npt.NDArray[np.float64],
+    *,
+    white: npt.NDArray[np.float64],
+    reflectances: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None,
+) -> ChartReference:
     """Return the reference of a chart whose patches were measured.
 
     `xyz` [24, 3] of a Classic row by row from dark skin, or [140, 3] of an SG from A1, B1 …; Y of a perfect white = 1, under a light of
-    the XYZ `white` [3] (D50 for most instruments; D65 leaves them as they are).
+    the XYZ `white` [3] (D50 for most instruments; D65 leaves them as they are). `reflectances`: wavelengths [W] in nm and values
+    [N, W] that the XYZ were integrated from, to be kept with them.
 
     Raises
     ------
@@ -105,7 +114,15 @@ def measured_reference(name: str, xyz: npt.NDArray[np.float64], *, white: npt.ND
             f"{layout.first}, and give Y of a perfect white as 100 or 1."
         )
     names = chart_reference(AFTER_2014 if layout is CLASSIC else SG_AFTER_2014).names
-    return ChartReference(name=name, names=names, XYZ=_under_d65(measured, np.asarray(white)), layout=layout)
+    at, values = (None, None) if reflectances is None else reflectances
+    return ChartReference(
+        name=name,
+        names=names,
+        XYZ=_under_d65(measured, np.asarray(white)),
+        layout=layout,
+        wavelengths_nm=at,
+        reflectances=values,
+    )
 
 
 def _under_d65(xyz: npt.NDArray[np.float64], white: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -19,7 +19,7 @@ from calibrate.chart.lattice import grids
 from calibrate.chart.reference import ChartReference
 from calibrate.chart.views import View
 from calibrate.chart.windows import windows
-from calibrate.chart.zones import Zones, flat_zones, relative_logarithm
+from calibrate.chart.zones import Zones, flat_zones
 
 # A chart lit by one light fits within 1–4; below this, other attempts can hardly do better.
 _EXCELLENT_SCORE: Final = 4.5
@@ -102,19 +102,18 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """A chart that was found: what covers it is no other one."""
+    """A chart that was found, by its `place` as of `Found`: what covers it is no other one."""
 
-    candidate: Candidate
-    view: View | None = None
+    place: npt.NDArray[np.float64]
 
     def covers(self, found: Found) -> bool:
-        """Whether a box has its middle on this chart, or this chart its middle on it."""
-        own = self.candidate.corners if self.view is None else self.view.directions(self.candidate.corners)
-        middles, reaches = [], []
-        for place in (own, found.place):
-            middles.append(place.mean(axis=0))
-            reaches.append(np.linalg.norm(place - middles[-1], axis=1).min())
-        return bool(np.linalg.norm(middles[0] - middles[1]) < _ON_EACH_OTHER * max(reaches))
+        """Whether a box and this chart have their middles on each other."""
+        middles = [place.mean(axis=0) for place in (self.place, found.place)]
+        reach = max(
+            np.linalg.norm(place - middle, axis=1).min()
+            for place, middle in zip((self.place, found.place), middles, strict=True)
+        )
+        return bool(np.linalg.norm(middles[0] - middles[1]) < _ON_EACH_OTHER * reach)
 
 
 def better(best: Candidate | None, candidate: Candidate) -> Candidate:
@@ -134,10 +133,11 @@ def scales(size: tuple[int, int]) -> list[float]:
     return factors
 
 
-def search_picture(image: npt.NDArray[np.float32], reference: ChartReference) -> Candidate | None:
-    """Return the likeliest chart of a picture [H, W, 3]; None if there is nothing that might be one."""
+def search_picture(
+    image: npt.NDArray[np.float32], logarithm: npt.NDArray[np.float32], reference: ChartReference
+) -> Candidate | None:
+    """Return the likeliest chart of a picture [H, W, 3] of the relative `logarithm`; None if there is nothing that might be one."""
     best: Candidate | None = None
-    logarithm = relative_logarithm(image)
     for scale in scales(image.shape[:2]):
         for candidate in candidates(logarithm, image, reference, scale):
             best = better(best, candidate)
@@ -149,16 +149,15 @@ def search_picture(image: npt.NDArray[np.float32], reference: ChartReference) ->
 
 
 def further_in_picture(
-    image: npt.NDArray[np.float32], reference: ChartReference, known: Known
-) -> list[tuple[Candidate, None]]:
+    image: npt.NDArray[np.float32], logarithm: npt.NDArray[np.float32], reference: ChartReference, known: Known
+) -> list[Candidate]:
     """Return what may be charts beside the one that is known."""
-    logarithm = relative_logarithm(image)
     apart, further = [known], []
     for scale in further_scales(image.shape[:2]):
         for candidate in candidates(logarithm, image, reference, scale, apart=apart):
-            if candidate.excellent or candidate.acceptable:
-                further.append((candidate, None))
-                apart.append(Known(candidate))
+            if candidate.acceptable:
+                further.append(candidate)
+                apart.append(Known(candidate.corners))
     return further
 
 
@@ -188,6 +187,8 @@ def candidates(
     if apart:
         found = [each for each in found if not any(chart.covers(each) for chart in apart)]
     for best in likeliest(found):
+        if any(chart.covers(best) for chart in apart):  # found since
+            continue
         yield aligned_and_judged(image, best.in_order, reference)
 
 

@@ -79,7 +79,7 @@ def further_in_map(
             candidate = _looked_at(environment, view, likely, reference, thoroughly=False)
             if candidate.acceptable:
                 further.append((candidate, view))
-                apart.append(Known(candidate, view))
+                apart.append(Known(view.directions(candidate.corners)))
     return further
 
 

@@ -69,6 +69,13 @@ class View:
         )
 
 
+def directions_on_map(points: Points, map_size: tuple[int, int]) -> Points:
+    """Return the unit directions [..., 3] of pixels [..., 2] of a lat-long map of `map_size` (H, W)."""
+    phi = 2 * np.pi * ((points[..., 0] + 0.5) / map_size[1] - 0.5)
+    theta = np.pi * (points[..., 1] + 0.5) / map_size[0]
+    return np.stack([np.sin(theta) * np.sin(phi), np.cos(theta), -np.sin(theta) * np.cos(phi)], axis=-1)
+
+
 def view_at(yaw: float, pitch: float, *, field_of_view: float, side: int, map_size: tuple[int, int]) -> View:
     """Return the view in the direction `yaw` (to the right of −Z), `pitch` (above the horizon); all angles in radians."""
     forward = np.array([np.cos(pitch) * np.sin(yaw), np.sin(pitch), -np.cos(pitch) * np.cos(yaw)])

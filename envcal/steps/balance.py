@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
-#: The chart's patch 19, white, as its reference lists them.
-WHITE_PATCH = 18
 #: What a profile calls the space of the gains where the camera's sensitivities are known.
 CAMERA_RGB_BALANCE = "camera RGB"
 
@@ -190,7 +188,7 @@ def _read_pair(
     from calibrate.lamp import find_lit_lamp, lamp_alone
 
     (header, on, sigma_on), (_, off, sigma_off) = (_read_merged(path) for path in pair)
-    white = np.asarray(profile.chart.patches[WHITE_PATCH].camera_rgb)
+    white = np.asarray(profile.chart.white.camera_rgb)
     alone = lamp_alone(on, off, sigma_on=sigma_on, sigma_off=sigma_off, white_rgb=white)
     working = apply_matrix(alone.light, profile.full_matrix())
     if settings.lamp == "auto":

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from envcal.profile import ChartLight, Profile, row
+from envcal.profile import ChartLight, Patch, Profile, row
 
 if TYPE_CHECKING:
     from uplift.lights import Light
@@ -23,6 +23,10 @@ _SAME_SIGMAS = 3.0
 _MIRED, _DUV = 4.0, 0.002
 #: A mix of two lights explains the chart's colour if it comes so near in (u, v), with at least so much of either.
 _MIX_UV, _MIX_LEAST = 0.006, 0.08
+_NO_REFLECTANCES = (
+    "the light on the chart is not measured: that takes the patches' reflectances, and of a ColorChecker Digital SG only colours are "
+    "published. Photograph a Classic or a Passport for it, or give this chart's reflectances as measured in `correct.patches`."
+)
 
 
 def measure(
@@ -38,8 +42,11 @@ def measure(
     from uplift.spectrometer import measure_light, reading_of
     from uplift.spectrum import observer
 
-    if profile.lamp is None or len(profile.chart.patches) != 24:
+    if profile.lamp is None:
         return None, []
+    patches = _patches_of_known_reflectance(profile)
+    if patches is None:
+        return None, [_NO_REFLECTANCES]
     if profile.root_terms is not None:
         # What the camera read of the lamp cannot be had back from working RGB then.
         return None, [
@@ -48,18 +55,20 @@ def measure(
     seen = observer()
     curves = None if camera is None else sensitivities(place_of(camera, folder), seen.wavelengths_nm)
     back = np.linalg.inv(np.asarray(profile.matrix))
-    fall_off = np.array([[patch.light] for patch in profile.chart.patches])
-    values = np.array([patch.camera_rgb for patch in profile.chart.patches]) / fall_off
-    noise = np.array([patch.noise for patch in profile.chart.patches]) / fall_off
+    fall_off = np.array([[patch.light] for patch in patches])
+    values = np.array([patch.camera_rgb for patch in patches]) / fall_off
+    noise = np.array([patch.noise for patch in patches]) / fall_off
     # Glare makes a patch say nothing.
-    spoilt = np.array([[patch.left_out] for patch in profile.chart.patches])
+    spoilt = np.array([[patch.left_out] for patch in patches])
+    nm = profile.chart.wavelengths_nm
+    measured = np.array([np.interp(seen.wavelengths_nm, nm, patch.reflectance) for patch in patches]) if nm else None
     try:
         reading = reading_of(
             values,
             np.where(spoilt, values.max(), noise),
             back @ np.asarray(profile.lamp.rgb),
         )
-        found = measure_light(reading, camera=curves, observer=seen, lamp=lamp)
+        found = measure_light(reading, camera=curves, observer=seen, reflectances=measured, lamp=lamp)
     except UpliftError as error:
         return None, [f"the light on the chart could not be measured: {error}"]
     light = ChartLight(
@@ -83,6 +92,16 @@ def measure(
     if found.refused:
         return light, [f"the light on the chart is not used as a measured spectrum: {found.refused}"]
     return light, []
+
+
+def _patches_of_known_reflectance(profile: Profile) -> list[Patch] | None:
+    """The 24 patches in the order of a Classic whose reflectances are published or were measured; None if there are none."""
+    from calibrate.chart import CLASSIC_ON_SG
+
+    patches = profile.chart.patches
+    if len(patches) == 24:
+        return patches
+    return [patches[k] for k in CLASSIC_ON_SG] if profile.chart.wavelengths_nm else None
 
 
 def place_of(camera: str, folder: Path) -> str | Path:
