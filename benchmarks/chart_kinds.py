@@ -33,7 +33,7 @@ from calibrate.chart import CLASSIC, SG
 _NM = np.arange(400, 701, 10)
 #: Patch over pitch: Passport (ArgyllCMS, ref/ColorCheckerPassport.cht), and wider and narrower gaps than any edition has.
 PASSPORT = 12.4 / 15.0
-PARTS = (PASSPORT, 0.75, 0.95)
+PARTS = (PASSPORT, 0.75, 0.92)
 #: The other page of a Passport, 62 mm to the left of its first column: patches (x, y, side) in mm from there, and reflectances.
 _PAGE_MM = ((13.5, 10.0, 12.9, 8), (26.4, 13.4, 16.0, 5), (42.5, 13.4, 16.0, 5), (58.6, 10.0, 12.9, 8))
 

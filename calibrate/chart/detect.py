@@ -22,7 +22,7 @@ from calibrate.chart.geometry import (
     project,
     signed_area,
 )
-from calibrate.chart.judge import LARGEST_SCORE, best_orders, glances
+from calibrate.chart.judge import LARGEST_SCORE, best_orders, covered, glances
 from calibrate.chart.reference import SG_AFTER_2014, ChartReference, chart_reference
 from calibrate.chart.search import Candidate, Known, further_in_picture, search_picture
 from calibrate.chart.search_map import further_in_map, search_map, through
@@ -31,6 +31,8 @@ from calibrate.chart.zones import relative_logarithm
 
 # Where the 140 patches of an SG fit as well as this around what was taken for a Classic, it is one. Elsewhere they differ by 20.
 _IS_SG: Final = 12.0
+# A chart is covered if one patch in so many is.
+_COVERED: Final = 6
 # Of several charts the largest is the one meant, if it fits nearly as well as the best one (ΔE2000).
 _FITS_AS_WELL: Final = 3.0
 # A further chart must fit as well as this to be called one.
@@ -138,6 +140,14 @@ def _main(
             f"correct.chart: the chart at {where} reaches beyond the image of {pixels.shape[1]}×{pixels.shape[0]} pixels; all "
             f"{layout.count} patches must be in view. Photograph it again with all of it in the picture."
         )
+    on_map = None if view is None else through(view, (pixels.shape[0], pixels.shape[1]))
+    alike = covered(glances(pixels, candidate.corners[None], layout, through=on_map)[0], known)
+    if alike >= layout.count // _COVERED:
+        raise CalibrateError(
+            f"correct.chart: {alike} neighbouring patches of the chart at {where} read the same: something covers them, or it is "
+            f"another chart; all {layout.count} must be in full view. Photograph it again, or name the right kind in "
+            "`correct.reference`."
+        )
     if candidate.mirrored:
         raise CalibrateError(
             f"correct.chart: the chart at {where} is mirrored: its patches run "
@@ -164,7 +174,9 @@ def _refuse_middle_of_sg(
     box = project(image_from_chart(candidate.corners), low + box_corners(SG))
     if view is not None and not view.before(box):
         return
-    seen = glances(pixels, box[None], SG, through=None if view is None else through(view, pixels.shape[:2]))
+    seen = glances(
+        pixels, box[None], SG, through=None if view is None else through(view, (pixels.shape[0], pixels.shape[1]))
+    )
     score, order = best_orders(seen, chart_reference(SG_AFTER_2014))[0]
     if score <= _IS_SG and order == (0, 1, 2, 3):
         raise CalibrateError(

@@ -37,6 +37,7 @@ def measure(
     `lamp` [N] is the spectrum of the profile's lamp on the standard observer's grid; None: D65. A light that was refused is
     returned too, with the reason; it is kept in the profile and not used.
     """
+    from calibrate.chart import SG
     from envcal.cameras import sensitivities
     from uplift import UpliftError
     from uplift.spectrometer import measure_light, reading_of
@@ -46,7 +47,7 @@ def measure(
         return None, []
     patches = _patches_of_known_reflectance(profile)
     if patches is None:
-        return None, [_NO_REFLECTANCES]
+        return None, [_NO_REFLECTANCES] if len(profile.chart.patches) == SG.count else []
     if profile.root_terms is not None:
         # What the camera read of the lamp cannot be had back from working RGB then.
         return None, [
@@ -96,12 +97,12 @@ def measure(
 
 def _patches_of_known_reflectance(profile: Profile) -> list[Patch] | None:
     """The 24 patches in the order of a Classic whose reflectances are published or were measured; None if there are none."""
-    from calibrate.chart import CLASSIC_ON_SG
+    from calibrate.chart import CLASSIC, CLASSIC_ON_SG, SG
 
     patches = profile.chart.patches
-    if len(patches) == 24:
-        return patches
-    return [patches[k] for k in CLASSIC_ON_SG] if profile.chart.wavelengths_nm else None
+    if len(patches) == SG.count and profile.chart.wavelengths_nm:
+        return [patches[k] for k in CLASSIC_ON_SG]
+    return patches if len(patches) == CLASSIC.count else None
 
 
 def place_of(camera: str, folder: Path) -> str | Path:
