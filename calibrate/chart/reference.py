@@ -34,9 +34,9 @@ REFERENCE_NAMES: Final = (
     "ColorCheckerSG - Before November 2014",
 )
 
-# The largest Y a patch may have, and how much brighter than the white one another may be: an SG has sixteen whites.
+# The largest Y a patch may have, and what part of the white patch's others have that are as white: an SG has seventeen.
 _LARGEST_Y: Final = 1.05
-_AS_WHITE: Final = 1.02
+_AS_WHITE: Final = 0.97
 
 
 _LAYOUTS: Final = {layout.count: layout for layout in (CLASSIC, SG)}
@@ -106,18 +106,19 @@ def measured_reference(
             f"correct.patches: {name}: values of shape {measured.shape}; expected finite XYZ with positive Y of 24 patches, row by "
             "row from dark skin to black, or of the 140 of an SG from A1, B1 to N10."
         )
+    published = chart_reference(AFTER_2014 if layout is CLASSIC else SG_AFTER_2014)
+    whites = published.XYZ[:, 1] > _AS_WHITE * published.XYZ[layout.white_patch, 1]
     brightest = int(measured[:, 1].argmax())
-    if measured[brightest, 1] > min(_LARGEST_Y, _AS_WHITE * measured[layout.white_patch, 1]):
+    if not whites[brightest] or measured[brightest, 1] > _LARGEST_Y:
         raise CalibrateError(
             f"correct.patches: {name}: patch {brightest + 1} is the brightest, Y = {measured[brightest, 1]:.3f}; expected "
             f"the {layout.white_patch + 1}th, {layout.white}, of Y between 0 and 1. Put the patches in order, row by row from "
             f"{layout.first}, and give Y of a perfect white as 100 or 1."
         )
-    names = chart_reference(AFTER_2014 if layout is CLASSIC else SG_AFTER_2014).names
     at, values = (None, None) if reflectances is None else reflectances
     return ChartReference(
         name=name,
-        names=names,
+        names=published.names,
         XYZ=_under_d65(measured, np.asarray(white)),
         layout=layout,
         wavelengths_nm=at,

@@ -84,10 +84,9 @@ def test_an_sg_read_by_a_camera_that_sees_as_the_eye_is_fitted_exactly():
     reference = chart_reference(SG_AFTER_2014)
     mixed = reference.XYZ @ np.array([[0.9, 0.2, 0.1], [0.1, 1.1, 0.0], [0.0, 0.3, 0.7]])
     light = np.exp(SG.places @ [0.4, -0.2])
-    for white_preserving in (False, True):
-        fit = fit_matrix(mixed * light[:, None], reference, rgb_from_xyz=XYZ, white_preserving=white_preserving)
-        np.testing.assert_allclose(fit.fitted_rgb, reference.XYZ, rtol=1e-6, atol=ROUNDING)
-        assert fit.delta_e_loo.max() < 1e-4
+    fit = fit_matrix(mixed * light[:, None], reference, rgb_from_xyz=XYZ, white_preserving=True)
+    np.testing.assert_allclose(fit.fitted_rgb, reference.XYZ, rtol=1e-6, atol=ROUNDING)
+    assert fit.delta_e_loo.max() < 1e-4
 
 
 def test_the_frame_of_an_sg_does_not_outweigh_its_colours():
