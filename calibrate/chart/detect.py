@@ -59,7 +59,8 @@ def find_chart(
         was expected.
     """
     pixels, known = _checked(image), reference or chart_reference()
-    return _record(*_main(pixels, known, latlong=latlong, largest_score=largest_score), known)
+    logarithm = None if latlong else relative_logarithm(pixels)
+    return _record(*_main(pixels, known, logarithm, largest_score=largest_score), known)
 
 
 def find_charts(
@@ -70,8 +71,9 @@ def find_charts(
     See `other_charts` for what counts as a further one. Raises as `find_chart`.
     """
     pixels, known = _checked(image), reference or chart_reference()
-    main = _record(*_main(pixels, known, latlong=latlong, largest_score=LARGEST_SCORE), known)
-    charts = [main, *other_charts(pixels, main, known, latlong=latlong)]
+    logarithm = None if latlong else relative_logarithm(pixels)
+    main = _record(*_main(pixels, known, logarithm, largest_score=LARGEST_SCORE), known)
+    charts = [main, *_others(pixels, main, known, logarithm)]
     best = min(chart.score for chart in charts)
     charts.sort(key=lambda chart: (chart.score > best + _FITS_AS_WELL, -abs(signed_area(chart.corners))))
     return tuple(charts)
@@ -90,11 +92,21 @@ def other_charts(
     picture's long side is brought to 1500, is not looked for: it would cost more than the search for the first one.
     """
     pixels, known = _checked(image), reference or chart_reference()
+    return _others(pixels, chart, known, None if latlong else relative_logarithm(pixels))
+
+
+def _others(
+    pixels: npt.NDArray[np.float32],
+    chart: ChartFound,
+    known: ChartReference,
+    logarithm: npt.NDArray[np.float32] | None,
+) -> tuple[ChartFound, ...]:
+    """As `other_charts`; the relative `logarithm` is that of a picture, None of a map."""
     found: list[tuple[Candidate, View | None]] = []
-    if latlong:
+    if logarithm is None:
         found += further_in_map(pixels, known, Known(directions_on_map(chart.corners, pixels.shape[:2])))
     else:
-        further = further_in_picture(pixels, relative_logarithm(pixels), known, Known(chart.corners))
+        further = further_in_picture(pixels, logarithm, known, Known(chart.corners))
         found += [(each, None) for each in further if _inside(each, known, pixels.shape[:2])]
     return tuple(
         _record(candidate, view, known)
@@ -113,13 +125,19 @@ def _checked(image: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
 
 
 def _main(
-    pixels: npt.NDArray[np.float32], known: ChartReference, *, latlong: bool, largest_score: float
+    pixels: npt.NDArray[np.float32],
+    known: ChartReference,
+    logarithm: npt.NDArray[np.float32] | None,
+    *,
+    largest_score: float,
 ) -> tuple[Candidate, View | None]:
-    """Return the likeliest chart, or refuse what is none."""
+    """Return the likeliest chart, or refuse what is none; the relative `logarithm` is that of a picture, None of a map."""
     layout = known.layout
-    candidate, view = (
-        search_map(pixels, known) if latlong else (search_picture(pixels, relative_logarithm(pixels), known), None)
-    )
+    view: View | None = None
+    if logarithm is None:
+        candidate, view = search_map(pixels, known)
+    else:
+        candidate = search_picture(pixels, logarithm, known)
     if candidate is None:
         raise CalibrateError(
             f"correct.chart: no {layout.name} found at any size; expected one with {layout.count} patches in full view. "
