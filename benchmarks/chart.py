@@ -73,11 +73,12 @@ class _Log:
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
-        lines = path.read_text(encoding="utf-8").splitlines() if path is not None and path.exists() else []
+        text = path.read_text(encoding="utf-8") if path is not None and path.exists() else ""
         # The last line of a run that was killed may be a part of one.
-        self._known = {
-            (row["kind"], row["seed"]): row for line in lines if line.endswith("}") for row in [json.loads(line)]
-        }
+        if path is not None and text and not text.endswith("\n"):
+            text = text[: text.rfind("\n") + 1]
+            path.write_text(text, encoding="utf-8")
+        self._known = {(row["kind"], row["seed"]): row for row in map(json.loads, text.splitlines())}
 
     def rows(self, kind: str, seeds: Iterable[int]) -> Iterable[Row]:
         seeds = list(seeds)

@@ -111,7 +111,9 @@ def measured(number: int, case: Case, width: int) -> dict[str, Any]:
         "pixels": len(judged.rows),
         "true_cct": [float(k) for k in truth.cct_k[:2]],
         "floor": relight(_best(judged, truth, eyes, space), judged.spectra, reflectances, observer=eyes, space=space),
-        "usual_of_truth": relight(_usual(judged.rgb, eyes, space), judged.spectra, reflectances, observer=eyes, space=space),
+        "usual_of_truth": relight(
+            _usual(judged.rgb, eyes, space), judged.spectra, reflectances, observer=eyes, space=space
+        ),
         "ways": {},
     }
     with tempfile.TemporaryDirectory() as name:
