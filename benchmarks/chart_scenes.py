@@ -16,6 +16,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from calibrate.chart.geometry import CLASSIC, Layout
+
 Float64 = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
@@ -76,15 +78,20 @@ def patch_colours(light: str, camera: int, gains: Float64) -> Float64:
 
 def chart_texture(colours: Float64, *, part: float, frame: float, order: npt.NDArray[np.intp] | None = None) -> Image:
     """Return a drawing of the chart: `part` is how much of its place a patch fills, `frame` the frame's reflectance."""
-    white = colours[18] / 0.9
-    texture = np.empty((round((11.25 + 2 * _FRAME) * _UNIT), round((16.75 + 2 * _FRAME) * _UNIT), 3), np.float32)
-    texture[:] = frame * white
     shown = colours if order is None else colours[order]
-    half = 1.25 * part
-    for index in range(24):
-        x, y = 1.5 + 2.75 * (index % 6) + _FRAME, 1.5 + 2.75 * (index // 6) + _FRAME
+    return texture_of(shown, colours[18] / 0.9, CLASSIC, part=part * 2.5 / 2.75, frame=frame)
+
+
+def texture_of(colours: Float64, white: Float64, layout: Layout, *, part: float, frame: float) -> Image:
+    """Return a drawing of any chart: `part` is how much of the pitch a patch is wide; `frame` is in parts of `white` [3]."""
+    wide, tall = (round((side + 2 * _FRAME) * _UNIT) for side in layout.box)
+    texture = np.empty((tall, wide, 3), np.float32)
+    texture[:] = frame * white
+    first, half = layout.gap_width + layout.patch_width / 2 + _FRAME, 2.75 * part / 2
+    for index in range(layout.count):
+        x, y = first + 2.75 * (index % layout.columns), first + 2.75 * (index // layout.columns)
         left, right, top, bottom = (round(v * _UNIT) for v in (x - half, x + half, y - half, y + half))
-        texture[top:bottom, left:right] = shown[index]
+        texture[top:bottom, left:right] = colours[index]
     return texture
 
 
@@ -95,11 +102,13 @@ def homography(source: Float64, destination: Float64) -> Float64:
     )
 
 
-def _posed(rng: np.random.Generator, size: tuple[int, int], across: float, tilt_deg: float) -> Float64:
+def _posed(
+    rng: np.random.Generator, size: tuple[int, int], across: float, tilt_deg: float, *, box: Float64 = BOX
+) -> Float64:
     """Corners [4, 2] of a box seen in perspective: tilted about a random axis, turned by any angle, longest edge `across`."""
     axis, turn = rng.uniform(0, 2 * np.pi, 2)
     tilt = np.radians(tilt_deg)
-    flat = (BOX - BOX.mean(axis=0)) / 16.75
+    flat = (box - box.mean(axis=0)) / box[1, 0]
     points = np.column_stack([flat, np.zeros(4)])
     k = np.array([np.cos(axis), np.sin(axis), 0.0])
     points = points * np.cos(tilt) + np.cross(k, points) * np.sin(tilt) + np.outer(points @ k, k) * (1 - np.cos(tilt))
@@ -172,6 +181,7 @@ def _composed(
     fall_off: float,
     glare: float,
     white: Float64,
+    box: Float64 = BOX,
 ) -> Image:
     """Put the chart before the background, area-sampled, with its fall-off of light and a spot of glare."""
     height, width = texture.shape[:2]
@@ -183,11 +193,13 @@ def _composed(
         cx, cy, radius = rng.uniform(0.1, 0.9) * width, rng.uniform(0.1, 0.9) * height, rng.uniform(15, 70)
         spot = np.exp(-0.5 * ((x - cx) ** 2 + (y - cy) ** 2) / radius**2)
         lit = lit + (glare * spot[..., None] * white).astype(np.float32)
-    shown, cover = warped(lit, corners, background.shape[:2])
+    shown, cover = warped(lit, corners, background.shape[:2], box=box)
     return np.asarray(background * (1 - cover[..., None]) + shown, dtype=np.float32)
 
 
-def warped(texture: Image, corners: Float64, size: tuple[int, int], *, frame: float = 1.0) -> tuple[Image, Image]:
+def warped(
+    texture: Image, corners: Float64, size: tuple[int, int], *, frame: float = 1.0, box: Float64 = BOX
+) -> tuple[Image, Image]:
     """Return a chart's texture as seen with its box at `corners`, and how much of each pixel it covers.
 
     `frame` chart units of the frame are shown around the box.
@@ -195,16 +207,14 @@ def warped(texture: Image, corners: Float64, size: tuple[int, int], *, frame: fl
     fine = 3
     cut = round((_FRAME - frame) * _UNIT)
     texture = texture[cut : texture.shape[0] - cut, cut : texture.shape[1] - cut]
-    box = (BOX + frame) * _UNIT - 0.5
-    matrix = homography(box, (corners + 0.5) * fine - 0.5)
+    wide, tall = box[2]
+    matrix = homography((box + frame) * _UNIT - 0.5, (corners + 0.5) * fine - 0.5)
     scale = np.sqrt(abs(np.linalg.det(matrix[:2, :2])))
     if scale < 1:  # averaging before shrinking
         texture = np.asarray(cv2.GaussianBlur(texture, (0, 0), 0.4 / max(scale, 1e-3)), dtype=np.float32)
     # Only where the chart is: the rest of the picture stays empty.
-    outline = np.array(
-        [[-frame, -frame], [16.75 + frame, -frame], [16.75 + frame, 11.25 + frame], [-frame, 11.25 + frame]]
-    )
-    lifted = np.column_stack([outline, np.ones(4)]) @ homography(BOX, corners).T
+    outline = np.array([[-frame, -frame], [wide + frame, -frame], [wide + frame, tall + frame], [-frame, tall + frame]])
+    lifted = np.column_stack([outline, np.ones(4)]) @ homography(box, corners).T
     reached = lifted[:, :2] / lifted[:, 2:]
     x0, y0 = np.clip(np.floor(reached.min(axis=0)).astype(int) - 2, 0, np.array(size[::-1]) - 1)
     x1, y1 = np.clip(np.ceil(reached.max(axis=0)).astype(int) + 3, [x0 + 1, y0 + 1], size[::-1])

@@ -27,6 +27,9 @@ WIDE_STEP_EV = 4.0
 # Shutter times closer than this are one nominal setting (EXIF writes 1/30 and 0.0333 for the same third of a stop).
 SAME_EXPOSURE_EV = 0.02
 
+# Zooms report the same setting to this share; a bracket's frames then show the same scene to a pixel or few.
+SAME_FOCAL_LENGTH = 0.02
+
 # Some cameras measure their black anew for every frame; beyond this share of the range it is another format.
 BLACK_TOLERANCE = 0.01
 
@@ -210,6 +213,7 @@ def _mistakes_between(frames: Sequence[FrameInfo], *, mixed_iso: bool, mixed_ape
     out = [
         *_odd_ones(frames, [f"camera {f.camera!r}" if f.camera else None for f in frames]),
         *_odd_ones(frames, [f"lens {f.lens!r}" if f.lens else None for f in frames]),
+        *_odd_ones(frames, _focal_lengths(frames)),
         *_odd_ones(frames, [f"size {f.width}×{f.height}" for f in frames]),
         *_odd_ones(frames, [f"colour filter array {f.cfa}" for f in frames]),
         *_odd_ones(frames, [f"{f.bits} bits a sample" if f.bits else None for f in frames]),
@@ -236,6 +240,17 @@ def _mistakes_between(frames: Sequence[FrameInfo], *, mixed_iso: bool, mixed_ape
             if not f.f_number
         ]
     return out + _strayed_blacks(frames)
+
+
+def _focal_lengths(frames: Sequence[FrameInfo]) -> list[str | None]:
+    """What each frame says of its focal length; what a zoom rounds differently is the same."""
+    told = Counter(f.focal_length_mm for f in frames if f.focal_length_mm)
+    usual = told.most_common(1)[0][0] if told else 0.0
+    same = [
+        v if v and abs(v - usual) > SAME_FOCAL_LENGTH * usual else v and usual
+        for v in (f.focal_length_mm for f in frames)
+    ]
+    return [f"focal length {v:g} mm" if v else None for v in same]
 
 
 def _odd_ones(frames: Sequence[FrameInfo], said: Sequence[str | None], *, remedy: str = "") -> list[str]:

@@ -18,18 +18,20 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 MOST_BYTES = 1 << 20
-PATCHES = 24
+PATCHES, PATCHES_OF_SG = 24, 140
 #: ICC's D50, under which instruments report XYZ and L*a*b*.
 D50_XYZ: Floats = np.array([0.9642, 1.0, 0.8249])
 _BAND = re.compile(r"(?:spec(?:tral)?|nm|r)?_?(?:nm)?_?(\d{3,4})(?:[.]0*)?(?:nm)?", re.IGNORECASE)
 _XYZ = ("XYZ_X", "XYZ_Y", "XYZ_Z")
 _LAB = ("LAB_L", "LAB_A", "LAB_B")
+#: Columns that may say which patch of an SG a row is.
+_NAMED = ("SAMPLE_NAME", "SAMPLE_LOC", "SAMPLE_ID", "NAME", "PATCH")
 _OTHER_NAMES = {"X": "XYZ_X", "Y": "XYZ_Y", "Z": "XYZ_Z", "L": "LAB_L", "A": "LAB_A", "B": "LAB_B"}
 _OTHER_NAMES |= {"L*": "LAB_L", "A*": "LAB_A", "B*": "LAB_B"}
 
 
 def read_patches(path: Path) -> ChartReference:
-    """Return the reference of the 24 patches in a file, row by row from dark skin.
+    """Return the reference of the 24 patches in a file, row by row from dark skin, or of the 140 of an SG, by their names.
 
     XYZ (of white 100 or 1) and L*a*b* are taken as under D50, as instruments report them, and adapted; reflectances are
     integrated under D65. Raises EnvcalError with file, line and remedy.
@@ -37,16 +39,21 @@ def read_patches(path: Path) -> ChartReference:
     from calibrate import CalibrateError
     from calibrate.chart import measured_reference
 
-    names, rows = _table(path)
-    if len(rows) != PATCHES:
+    names, rows, labels = _table(path)
+    if len(rows) not in (PATCHES, PATCHES_OF_SG):
         raise EnvcalError(
-            f"{path}: holds {len(rows)} patches; expected the {PATCHES} of a ColorChecker, row by row from dark skin to black."
+            f"{path}: holds {len(rows)} patches; expected the {PATCHES} of a ColorChecker, row by row from dark skin to black, or "
+            f"the {PATCHES_OF_SG} of a Digital SG."
         )
     values = np.asarray(rows, np.float64)
+    if len(rows) == PATCHES_OF_SG:
+        values = values[_order_of_sg(labels, path)]
+    reflectances = None
     bands = {int(m[1]): k for k, name in enumerate(names) if (m := _BAND.fullmatch(name)) and 300 <= int(m[1]) <= 1100}
     try:
         if len(bands) >= 10:
-            xyz, white = _integrated(values, bands, path)
+            reflectances = _reflectances(values, bands, path)
+            xyz, white = _integrated(*reflectances)
         elif set(_XYZ) <= set(names):
             xyz, white = values[:, [names.index(name) for name in _XYZ]], D50_XYZ
             xyz = xyz / 100 if xyz[:, 1].max() > 1.5 else xyz
@@ -57,13 +64,27 @@ def read_patches(path: Path) -> ChartReference:
                 f"{path}: its columns are {', '.join(names[:8])}; expected XYZ_X, XYZ_Y, XYZ_Z, or LAB_L, LAB_A, LAB_B, or "
                 "reflectances such as SPEC_380 … SPEC_730."
             )
-        return measured_reference(path.name, xyz, white=white)
+        return measured_reference(path.name, xyz, white=white, reflectances=reflectances)
     except CalibrateError as error:
         raise EnvcalError(str(error)) from error
 
 
-def _table(path: Path) -> tuple[list[str], list[list[float]]]:
-    """The names of the numeric columns, upper case, and the rows."""
+def _order_of_sg(labels: list[str], path: Path) -> list[int]:
+    """Which row holds A1, B1 … N1, A2 … of an SG. Instruments list it by columns or by rows: only names tell."""
+    wanted = [f"{column}{row}" for row in range(1, 11) for column in "ABCDEFGHIJKLMN"]
+    # A01 is A1.
+    said = [re.sub(r"(?<=[A-N])0(?=[1-9]$)", "", label.strip().upper()) for label in labels]
+    missing = [name for name in wanted if name not in said]
+    if missing:
+        raise EnvcalError(
+            f"{path}: no patch is called {', '.join(missing[:4])}{' …' if len(missing) > 4 else ''}; expected A1 to N10 once each in "
+            f"a column {', '.join(_NAMED[:3])}, as the order of the {PATCHES_OF_SG} patches differs between instruments."
+        )
+    return [said.index(name) for name in wanted]
+
+
+def _table(path: Path) -> tuple[list[str], list[list[float]], list[str]]:
+    """The names of the numeric columns, upper case, the rows, and what each row is called ("" where nothing says it)."""
     try:
         if path.stat().st_size > MOST_BYTES:
             raise EnvcalError(f"{path}: is larger than {MOST_BYTES >> 20} MiB; that is no list of patches.")
@@ -82,6 +103,10 @@ def _table(path: Path) -> tuple[list[str], list[list[float]]]:
         header, lines = cells[0], cells[1:]
     wanted = [_OTHER_NAMES.get(name.strip().upper(), name.strip().upper()) for name in header]
     used = [k for k, name in enumerate(wanted) if name in (*_XYZ, *_LAB) or _BAND.fullmatch(name)]
+    # The column in which a patch is called something like A1.
+    named = [k for word in _NAMED for k, name in enumerate(wanted) if name == word]
+    named = [k for k in named if all(len(row) > k and re.match(r"[A-Za-z]", row[k]) for row in lines)]
+    labels = [row[named[0]] if named else "" for row in lines]
     rows = []
     for number, cells_of in enumerate(lines, 1):
         try:
@@ -91,7 +116,7 @@ def _table(path: Path) -> tuple[list[str], list[list[float]]]:
                 f"{path}: patch {number} has no number in each of the columns {', '.join(wanted[k] for k in used)}: "
                 f"{' '.join(cells_of)[:60]!r}. Write one patch a line, with points for decimals."
             ) from None
-    return [wanted[k] for k in used], rows
+    return [wanted[k] for k in used], rows, labels
 
 
 def _cgats(text: str, path: Path) -> tuple[list[str], list[list[str]]]:
@@ -112,16 +137,21 @@ def _xyz_from_lab(lab: Floats) -> Floats:
     return np.asarray(np.where(f > 6 / 29, f**3, 3 * (6 / 29) ** 2 * (f - 4 / 29)) * D50_XYZ)
 
 
-def _integrated(values: Floats, bands: dict[int, int], path: Path) -> tuple[Floats, Floats]:
-    """XYZ [24, 3] of reflectances under D65, and the XYZ of D65."""
-    from uplift.spectrum import illuminant, observer, xyz_of
-
+def _reflectances(values: Floats, bands: dict[int, int], path: Path) -> tuple[Floats, Floats]:
+    """Wavelengths [W] in nm and reflectances [N, W], 1 = white."""
     at = np.array(sorted(bands), dtype=np.float64)
     if at[0] > 400 or at[-1] < 700:
         raise EnvcalError(f"{path}: reflectances from {at[0]:g} to {at[-1]:g} nm; expected at least 400 to 700 nm.")
     reflectances = values[:, [bands[int(nm)] for nm in at]]
     if reflectances.max() > 1.5:
         reflectances = reflectances / 100
+    return at, reflectances
+
+
+def _integrated(at: Floats, reflectances: Floats) -> tuple[Floats, Floats]:
+    """XYZ [N, 3] of reflectances [N, W] at wavelengths [W] under D65, and the XYZ of D65."""
+    from uplift.spectrum import illuminant, observer, xyz_of
+
     seen = observer()
     light = illuminant("D65", seen)
     white = xyz_of(light, seen)

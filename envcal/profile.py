@@ -56,6 +56,25 @@ class Patch(_Part):
     """CIEDE2000 of the fit."""
     delta_e_left_out: float
     """CIEDE2000 when the fit has not seen this patch."""
+    reflectance: list[float] = Field(default_factory=list)
+    """As measured, at the chart's `wavelengths_nm`; empty where only colours are known."""
+
+
+class OtherChart(_Part):
+    """A further chart in the reference shot, under the fit of the first."""
+
+    corners: list[tuple[float, float]]
+    """Pixels of the reference shot, as of the first."""
+    score: float
+    """Mean CIEDE2000 of a fit of its own."""
+    delta_e: float
+    """Mean CIEDE2000 of its patches under the first one's fit, the brightness of its light and a fall-off taken out."""
+    delta_e_balanced: float
+    """The same, the colour of its light taken out too."""
+    level: float
+    """How bright the light on it is, relative to that on the first."""
+    light_uv: float
+    """How far the colours of the two lights are apart in u'v'."""
 
 
 class Chart(_Part):
@@ -73,6 +92,16 @@ class Chart(_Part):
     """Mean CIEDE2000 by which the chart was known; None for corners from the settings."""
     fit: str
     patches: list[Patch]
+    wavelengths_nm: list[float] = Field(default_factory=list)
+    """Of the patches' reflectances, where a file of measured ones was given."""
+    others: list[OtherChart] = Field(default_factory=list)
+    """Further charts that were found; they have no part in the fit."""
+
+    @property
+    def white(self) -> Patch:
+        """The brightest patch that was not spoilt."""
+        usable = [patch for patch in self.patches if not patch.left_out] or self.patches
+        return max(usable, key=lambda patch: sum(patch.target_rgb))
 
 
 class Lamp(_Part):

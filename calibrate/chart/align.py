@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calibrate.chart.gaps import between_gaps
-from calibrate.chart.geometry import BOX_HEIGHT, BOX_WIDTH, PATCH_WIDTH, signed_area
+from calibrate.chart.geometry import CLASSIC, Layout, signed_area
 from calibrate.chart.judge import unevenness
 from calibrate.chart.lattice import refined
 from calibrate.chart.zones import flat_zones, relative_logarithm
@@ -24,7 +24,9 @@ _SNAPPED_PATCH_PX: Final = 36.0
 _LARGEST_ZOOM: Final = 4.0
 
 
-def align(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
+def align(
+    image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], layout: Layout = CLASSIC
+) -> npt.NDArray[np.float64] | None:
     """Return the corners [4, 2] for which the patches are where the box says.
 
     On the gaps, from the box as given or as the flat zones correct it; where too few gaps are seen, on the zones alone, if
@@ -32,16 +34,16 @@ def align(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> n
     """
     own = signed_area(corners) < 0
     box = corners[::-1] if own else corners
-    drawn = between_gaps(image, box)
+    drawn = between_gaps(image, box, layout)
     if drawn is None:
-        best, scatter, found = box, unevenness(image, box), False
+        best, scatter, found = box, unevenness(image, box, layout), False
         # In the order of trust: what comes later must be clearly better. Noise makes the scatter a poor judge of small
         # differences.
-        for position, moved in enumerate(_snapped(image, box)):
-            drawn = between_gaps(image, moved) if position < _TRIED else None
+        for position, moved in enumerate(_snapped(image, box, layout)):
+            drawn = between_gaps(image, moved, layout) if position < _TRIED else None
             if drawn is not None:
                 break
-            spread = unevenness(image, moved)
+            spread = unevenness(image, moved, layout)
             if spread < (_GAIN if found else _SCATTER_ALLOWED) * scatter:
                 best, scatter, found = moved, spread, True
         else:
@@ -51,10 +53,12 @@ def align(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> n
     return drawn[::-1] if own else drawn
 
 
-def _snapped(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> Iterator[npt.NDArray[np.float64]]:
+def _snapped(
+    image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], layout: Layout
+) -> Iterator[npt.NDArray[np.float64]]:
     """Yield boxes through the middles of the flat zones: of all thresholds, then of each."""
     part, local, offset = _cropped(image, corners)
-    patch_px = np.sqrt(abs(signed_area(corners)) / (BOX_WIDTH * BOX_HEIGHT)) * PATCH_WIDTH
+    patch_px = np.sqrt(abs(signed_area(corners)) / np.prod(layout.box)) * layout.patch_width
     zoom = min(_LARGEST_ZOOM, _SNAPPED_PATCH_PX / patch_px)
     seen = relative_logarithm(part)
     method = cv2.INTER_AREA if zoom < 1 else cv2.INTER_CUBIC
@@ -63,7 +67,7 @@ def _snapped(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -
     zones = flat_zones(seen, smallest=0.02 * area, largest=4 * area)
     zoomed = (local + 0.5) * zoom - 0.5
     for several in (zones, *([one] for one in zones)):
-        moved = refined(zoomed, several)
+        moved = refined(zoomed, several, layout)
         if moved is not zoomed:
             yield (moved + 0.5) / zoom - 0.5 + offset
 

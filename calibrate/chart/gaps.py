@@ -1,6 +1,6 @@
 """Drawing a chart's box to the dark gaps between its patches.
 
-Across each of the 38 gaps the picture is read along a line and compared with what a gap may look like there: two levels, a
+Across each gap (38 of a Classic) the picture is read along a line and compared with what a gap may look like there: two levels, a
 dark stripe between them, all blurred, on a slope. Where that fits best is the middle of the gap. Slopes take up what glare and
 a fall-off of the light add, so unlike the patches' levels or the outlines of their zones the middles stay where they are. The
 homography that takes the grid to the middles, gaps that disagree left out, corrects the box to a few hundredths of a patch.
@@ -13,17 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
-from calibrate.chart.geometry import (
-    BOX_HEIGHT,
-    BOX_WIDTH,
-    COLUMNS,
-    GAP_WIDTH,
-    PATCH_WIDTH,
-    ROWS,
-    box_corners,
-    image_from_chart,
-    project,
-)
+from calibrate.chart.geometry import CLASSIC, PITCH, Layout, box_corners, image_from_chart, project
 from calibrate.chart.judge import bilinear
 
 Floats = npt.NDArray[np.float64]
@@ -37,54 +27,56 @@ _CENTRES: Final = np.linspace(-0.9, 0.9, 25)
 _WIDTHS: Final = (0.25, 0.31, 0.37, 0.43, 0.49, 0.55, 0.62)
 _SIGMAS: Final = (0.05, 0.09, 0.13, 0.17, 0.21, 0.26, 0.32, 0.38, 0.45)
 # Lines are read side by side along the middle of each gap, so much of its length, and averaged.
-_ALONG: Final = PATCH_WIDTH * np.linspace(-0.36, 0.36, 11)
+_ALONG: Final = np.linspace(-0.9, 0.9, 11)
 _ROUNDS: Final = 4
 # At first every third width will do.
 _COARSELY: Final = 3
 # What a middle is off by when nothing is wrong, and what a middle farther from the grid than three times that counts for.
 _SPREAD: Final = 0.03
 _ROBUST_ROUNDS: Final = 6
-# So many gaps of either direction must agree, so well; in the mean a miss counts no more than that.
-_FEWEST: Final = (9, 8)
+# This part of the gaps of either direction must agree, so well; in the mean a miss counts no more than that.
+_FEWEST: Final = 0.44
 _AGREED: Final = 0.12
 # Half a patch is farther than a detector errs; a box that moved that far has slipped to a neighbour.
 _FARTHEST: Final = 1.25
 
 
-def between_gaps(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
+def between_gaps(
+    image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], layout: Layout = CLASSIC
+) -> npt.NDArray[np.float64] | None:
     """Return the corners [4, 2] for which the grid lies on the gaps of the picture; None if too few gaps agree."""
-    box = corners
+    box, at = corners, box_corners(layout)
     for turn in range(_ROUNDS):
-        homography = image_from_chart(box)
+        homography = image_from_chart(box, layout)
         # A wrong width moves the middles to and fro, by which side is darker. So the right one is that with which they agree.
-        tried = [_moved(*middles) for middles in _middles(image, homography, 1 if turn else _COARSELY)]
+        tried = [_moved(*middles, layout) for middles in _middles(image, homography, layout, 1 if turn else _COARSELY)]
         agreeing = [moved for moved in tried if moved is not None]
         if not agreeing:
             return None
         change, used, missed = min(agreeing, key=lambda moved: moved[2])
-        corrected = project(homography @ change, box_corners())
+        corrected = project(homography @ change, at)
         if not np.isfinite(corrected).all():
             return None
         shift = np.abs(
-            project(np.asarray(np.linalg.inv(image_from_chart(corners)), dtype=np.float64), corrected) - box_corners()
+            project(np.asarray(np.linalg.inv(image_from_chart(corners, layout)), dtype=np.float64), corrected) - at
         ).max()
         if not shift < _FARTHEST:
             return None
         box = corrected
-        if np.abs(project(change, box_corners()) - box_corners()).max() < 0.01:
+        if np.abs(project(change, at) - at).max() < 0.01:
             break
-    vertical = np.arange(len(used)) < len(_places()[0])
-    enough = used[vertical].sum() >= _FEWEST[0] and used[~vertical].sum() >= _FEWEST[1]
+    vertical = np.arange(len(used)) < len(_places(layout)[0])
+    enough = used[vertical].mean() >= _FEWEST and used[~vertical].mean() >= _FEWEST
     return box if enough and missed < _AGREED else None
 
 
 @functools.cache
-def _places() -> tuple[Floats, Floats]:
-    """Chart coordinates of the middles of the upright gaps [20, 2] and of the level ones [18, 2]."""
-    pitch, first = PATCH_WIDTH + GAP_WIDTH, GAP_WIDTH + PATCH_WIDTH / 2
-    columns, rows = first + pitch * np.arange(COLUMNS), first + pitch * np.arange(ROWS)
-    upright = [(x + pitch / 2, y) for x in columns[:-1] for y in rows]
-    level = [(x, y + pitch / 2) for x in columns for y in rows[:-1]]
+def _places(layout: Layout) -> tuple[Floats, Floats]:
+    """Chart coordinates of the middles of the upright gaps and of the level ones: [20, 2] and [18, 2] of a Classic."""
+    first = layout.gap_width + layout.patch_width / 2
+    columns, rows = first + PITCH * np.arange(layout.columns), first + PITCH * np.arange(layout.rows)
+    upright = [(x + PITCH / 2, y) for x in columns[:-1] for y in rows]
+    level = [(x, y + PITCH / 2) for x in columns for y in rows[:-1]]
     return np.array(upright), np.array(level)
 
 
@@ -107,12 +99,14 @@ def _shapes() -> tuple[Floats, Floats]:
     return np.reshape(bases, (*shape, 4, _STEPS)), np.reshape(levels, (*shape, 2, 4))
 
 
-def _middles(image: npt.NDArray[np.float32], homography: Floats, every: int) -> list[tuple[Floats, Floats]]:
-    """Return for `every` so-many-th width how far each gap's middle is from where the homography has it [38], and standard errors [38]."""
+def _middles(
+    image: npt.NDArray[np.float32], homography: Floats, layout: Layout, every: int
+) -> list[tuple[Floats, Floats]]:
+    """Return for `every` so-many-th width how far each gap's middle is from where the homography has it [G], and standard errors [G]."""
     across = np.linspace(-_REACH, _REACH, _STEPS)
     bases, levels = _shapes()
     by_axis = []
-    for axis, places in enumerate(_places()):
+    for axis, places in enumerate(_places(layout)):
         offsets = np.zeros((_STEPS, len(_ALONG), 2))
         offsets[..., axis], offsets[..., 1 - axis] = across[:, None], _ALONG
         points = project(homography, places[:, None, None] + offsets).astype(np.float32)
@@ -161,15 +155,16 @@ def _fitted(lines: Floats, bases: Floats, levels: Floats) -> tuple[Floats, Float
     return offset, np.where(trusted, error, np.inf)
 
 
-def _moved(middles: Floats, errors: Floats) -> tuple[Floats, npt.NDArray[np.bool_], float] | None:
+def _moved(middles: Floats, errors: Floats, layout: Layout) -> tuple[Floats, npt.NDArray[np.bool_], float] | None:
     """Return the homography in the chart that takes the grid to the middles, which of them agree, and by how much they miss.
 
     With G = 1 + [[a, b, c], [d, e, f], [g, h, 0]], a gap upright at x with its middle at x + m is met where
     (1 + a) x + b y + c = (x + m)(1 + g x + h y): linear in a … h, and likewise for level gaps.
     """
-    size = BOX_WIDTH / 2
-    to_unit = np.array([[1 / size, 0, -1], [0, 1 / size, -BOX_HEIGHT / BOX_WIDTH], [0, 0, 1]])
-    upright, level = (project(to_unit, places) for places in _places())
+    width, height = layout.box
+    size = width / 2
+    to_unit = np.array([[1 / size, 0, -1], [0, 1 / size, -height / width], [0, 0, 1]])
+    upright, level = (project(to_unit, places) for places in _places(layout))
     m = middles / size
     zero, one = np.zeros, np.ones
     (x, y), n, at = upright.T, len(upright), upright[:, 0] + m[: len(upright)]
@@ -178,7 +173,7 @@ def _moved(middles: Floats, errors: Floats) -> tuple[Floats, npt.NDArray[np.bool
     rows.append(np.column_stack([zero((n, 3)), x, y, one(n), -at * x, -at * y]))
     matrix = np.concatenate(rows)
     usable = np.isfinite(errors)
-    if usable.sum() < sum(_FEWEST):
+    if usable.mean() < _FEWEST:
         return None
     spread = np.hypot(_SPREAD, np.where(usable, errors, 1.0)) / size
     weight = usable / spread
@@ -192,7 +187,7 @@ def _moved(middles: Floats, errors: Floats) -> tuple[Floats, npt.NDArray[np.bool
         solution = np.asarray(np.linalg.lstsq(matrix * weight[:, None], m * weight, rcond=None)[0], dtype=np.float64)
     rest = np.abs(m - matrix @ solution) * size
     used = weight * spread > 0.1
-    if used.sum() < sum(_FEWEST):
+    if used.mean() < _FEWEST:
         return None
     change = np.eye(3) + np.append(solution, 0.0).reshape(3, 3)
     weight = 1 / spread[usable]

@@ -1,10 +1,11 @@
-"""Is this the chart, and which way up? A 3×3 fit of what a camera saw of 24 places against the published colours.
+"""Is this the chart, and which way up? A 3×3 fit of what a camera saw of its places against the published colours.
 
-A real chart fits under any light and camera; 24 places of anything else do not. The fit allows for a fall-off of the
+A real chart fits under any light and camera; as many places of anything else do not. The fit allows for a fall-off of the
 light across the chart, and is repeated without the patches that fit worst (glare, dirt). The colours also give the sense
 of rotation: the order that fits best names the corners, and if these then run anticlockwise, the picture is mirrored.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Final
 
@@ -12,51 +13,63 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from calibrate.chart.geometry import COLUMNS, ROWS, image_from_chart, patch_quads, project
+from calibrate.chart.geometry import CLASSIC, Layout, image_from_chart, patch_quads, project
 from calibrate.chart.reference import ChartReference
 from calibrate.difference import delta_e_2000, lab_from_xyz
 
 Through = Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]]
 
 LARGEST_SCORE: Final = 16.5
-# Patches that are clipped in every exposure say nothing; with this many of them a fit of nine numbers says little.
-_MOST_LOST_PATCHES: Final = 6
+# Patches that are clipped in every exposure say nothing; with this part of them a fit of nine numbers says little.
+_MOST_LOST: Final = 0.25
 _SAMPLES_PER_SIDE: Final = 7
 _COARSE_SAMPLES_PER_SIDE: Final = 3
 # Rounds of fit and fall-off; the third changes the score by less than a tenth.
 _ROUNDS: Final = 3
-# Patches that the last round leaves out of fit and score.
-_LEFT_OUT: Final = 2
+# One patch in so many the last round leaves out of fit and score.
+_LEFT_OUT: Final = 12
 
-_GRID = np.arange(ROWS * COLUMNS).reshape(ROWS, COLUMNS)
-# For each order of reading the patches: their indices, and the indices of the corners that go with it.
-_ORDERS: Final = (
-    (_GRID.ravel(), (0, 1, 2, 3)),
-    (_GRID[::-1, ::-1].ravel(), (2, 3, 0, 1)),
-    (_GRID[:, ::-1].ravel(), (1, 0, 3, 2)),
-    (_GRID[::-1].ravel(), (3, 2, 1, 0)),
-)
-_PLACES: Final = np.stack([_GRID.ravel() % COLUMNS / 5 - 0.5, _GRID.ravel() // COLUMNS / 3 - 0.5], axis=-1)
+# Neighbours of published colours so far apart (CIEDE2000) that read the same in all channels, but for this part of themselves and
+# of the brightest patch, are no patches.
+_DIFFERENT: Final = 5.0
+_ALIKE, _ALIKE_DARK = 0.06, 0.005
+
+Order = tuple[int, int, int, int]
 
 
-def glance(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the median of a few bilinear samples in each patch [24, 3]: NaN where most are NaN or outside."""
-    return _medians(_samples(image, corners, 0.5))
+@functools.cache
+def _orders(layout: Layout) -> tuple[tuple[npt.NDArray[np.intp], Order], ...]:
+    """For each order of reading the patches: their indices, and the indices of the corners that go with it."""
+    grid = np.arange(layout.count).reshape(layout.rows, layout.columns)
+    return (
+        (grid.ravel(), (0, 1, 2, 3)),
+        (grid[::-1, ::-1].ravel(), (2, 3, 0, 1)),
+        (grid[:, ::-1].ravel(), (1, 0, 3, 2)),
+        (grid[::-1].ravel(), (3, 2, 1, 0)),
+    )
+
+
+def glance(
+    image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], layout: Layout = CLASSIC
+) -> npt.NDArray[np.float64]:
+    """Return the median of a few bilinear samples in each patch [N, 3]: NaN where most are NaN or outside."""
+    return _medians(_samples(image, corners, 0.5, layout))
 
 
 def glances(
     image: npt.NDArray[np.float32],
     boxes: npt.NDArray[np.float64],
+    layout: Layout = CLASSIC,
     *,
     through: Through | None = None,
 ) -> npt.NDArray[np.float64]:
-    """Return what `glance` returns for K boxes [K, 4, 2], more coarsely: [K, 24, 3].
+    """Return what `glance` returns for K boxes [K, 4, 2], more coarsely: [K, N, 3].
 
     `through` maps the boxes' points [..., 2] to the image's pixels, where they are not the same.
     """
     grid = (np.arange(_COARSE_SAMPLES_PER_SIDE) + 0.5) / _COARSE_SAMPLES_PER_SIDE
-    inside = _places_in_patches(grid, 0.5)
-    points = np.stack([project(image_from_chart(box), inside) for box in boxes])
+    inside = _places_in_patches(grid, 0.5, layout)
+    points = np.stack([project(image_from_chart(box, layout), inside) for box in boxes])
     if through is not None:
         points = through(points)
     # One row a patch; a remapped picture has at most 32767 rows.
@@ -66,12 +79,12 @@ def glances(
     return _medians(samples)
 
 
-def unevenness(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64]) -> float:
+def unevenness(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], layout: Layout = CLASSIC) -> float:
     """Return how much the inner 80 % of a patch (by width) scatters, as the mean relative spread over the patches.
 
     A box that is off takes in the dark gaps, and scatters more.
     """
-    levels = np.sort(_samples(image, corners, 0.8).sum(axis=2), axis=1)  # NaN comes last
+    levels = np.sort(_samples(image, corners, 0.8, layout).sum(axis=2), axis=1)  # NaN comes last
     seen = np.isfinite(levels).sum(axis=1)
     rows = np.arange(len(levels))
     # Between two percentiles: hot and dead pixels are none of the box's fault.
@@ -80,16 +93,19 @@ def unevenness(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64])
     return float(((high - low)[counted] / middle[counted]).mean()) if counted.any() else float("inf")
 
 
-def _samples(image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], part: float) -> npt.NDArray[np.float32]:
-    """A grid of bilinear samples [24, N, 3] in the central `part` of each patch; NaN outside the image."""
+def _samples(
+    image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], part: float, layout: Layout
+) -> npt.NDArray[np.float32]:
+    """A grid of bilinear samples [N, M, 3] in the central `part` of each patch; NaN outside the image."""
     grid = (np.arange(_SAMPLES_PER_SIDE) + 0.5) / _SAMPLES_PER_SIDE
-    return bilinear(image, project(image_from_chart(corners), _places_in_patches(grid, part)).astype(np.float32))
+    places = _places_in_patches(grid, part, layout)
+    return bilinear(image, project(image_from_chart(corners, layout), places).astype(np.float32))
 
 
-def _places_in_patches(grid: npt.NDArray[np.float64], part: float) -> npt.NDArray[np.float64]:
-    """Chart coordinates [24, N², 2] of a grid [N] (0…1 from side to side) in the central `part` of each patch."""
+def _places_in_patches(grid: npt.NDArray[np.float64], part: float, layout: Layout) -> npt.NDArray[np.float64]:
+    """Chart coordinates [N, M², 2] of a grid [M] (0…1 from side to side) in the central `part` of each patch."""
     s, t = np.meshgrid(grid, grid)
-    quads = patch_quads(part)
+    quads = patch_quads(part, layout)
     return np.asarray(quads[:, 0, None] + np.stack([s.ravel(), t.ravel()], -1) * (quads[:, 2] - quads[:, 0])[:, None])
 
 
@@ -118,40 +134,70 @@ def _medians(samples: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
     return np.asarray(values, dtype=np.float64)
 
 
-def best_order(patches: npt.NDArray[np.float64], reference: ChartReference) -> tuple[float, tuple[int, int, int, int]]:
-    """Return the best score over the four orders of reading `patches` [24, 3], and its order of corners.
+def best_order(patches: npt.NDArray[np.float64], reference: ChartReference) -> tuple[float, Order]:
+    """Return the best score over the four orders of reading `patches` [N, 3], and its order of corners.
 
-    The score is the mean CIEDE2000 of the patches without the two worst; infinite if too many patches are NaN.
+    The score is the mean CIEDE2000 of the patches without the worst (a twelfth); infinite if too many patches are NaN.
     """
     return best_orders(patches[None], reference)[0]
 
 
-def best_orders(
-    patches: npt.NDArray[np.float64], reference: ChartReference
-) -> list[tuple[float, tuple[int, int, int, int]]]:
-    """Return for each of K sets of patches [K, 24, 3] what `best_order` returns for one."""
-    scores = np.full((len(patches), len(_ORDERS)), np.inf)
-    enough = (~np.isfinite(patches).all(axis=2)).sum(axis=1) <= _MOST_LOST_PATCHES
+def best_orders(patches: npt.NDArray[np.float64], reference: ChartReference) -> list[tuple[float, Order]]:
+    """Return for each of K sets of patches [K, N, 3] what `best_order` returns for one."""
+    ways = _orders(reference.layout)
+    scores = np.full((len(patches), len(ways)), np.inf)
+    enough = (~np.isfinite(patches).all(axis=2)).mean(axis=1) <= _MOST_LOST
     if enough.any():
-        orders = np.stack([patches[enough][:, indices] for indices, _ in _ORDERS], axis=1)
-        scores[enough] = _differences(orders.reshape(-1, 24, 3), reference.XYZ)[1].reshape(-1, len(_ORDERS))
+        orders = np.stack([patches[enough][:, indices] for indices, _ in ways], axis=1)
+        scores[enough] = _differences(orders.reshape(-1, *patches.shape[1:]), reference)[1].reshape(-1, len(ways))
     best = scores.argmin(axis=1)
-    return [(float(row[k]), _ORDERS[k][1]) for row, k in zip(scores, best, strict=True)]
+    return [(float(row[k]), ways[k][1]) for row, k in zip(scores, best, strict=True)]
+
+
+def covered(patches: npt.NDArray[np.float64], reference: ChartReference) -> int:
+    """Return the size of the largest group of neighbouring patches [N, 3] that read the same though their colours differ.
+
+    A hand or a sheet over a corner of the chart makes one. Of a chart in full view, of any camera under any lamp, two neighbours
+    may look alike, rarely three (measured over 2 cameras, 11 lamps and falls-off up to e: 2 in 5 % of the charts, never 3).
+    """
+    layout = reference.layout
+    grid = np.arange(layout.count).reshape(layout.rows, layout.columns)
+    beside = [(grid[:, :-1], grid[:, 1:]), (grid[:-1], grid[1:])]
+    first, second = (np.concatenate([pair[k].ravel() for pair in beside]) for k in (0, 1))
+    lab = lab_from_xyz(reference.XYZ)
+    differ = delta_e_2000(lab[first], lab[second]) > _DIFFERENT
+    one, other = patches[first], patches[second]
+    brightest = np.max(patches, axis=0, where=np.isfinite(patches), initial=0.0)
+    with np.errstate(invalid="ignore"):
+        alike = np.abs(one - other) < _ALIKE * np.maximum(one, other) + _ALIKE_DARK * brightest
+    same = alike.all(axis=1) & differ
+    group = np.arange(layout.count)
+    for _ in range(layout.count):
+        lowest = group.copy()
+        np.minimum.at(lowest, first[same], group[second[same]])
+        np.minimum.at(lowest, second[same], group[first[same]])
+        if (lowest == group).all():
+            break
+        group = lowest
+    return int(np.bincount(group).max())
 
 
 def _differences(
-    patches: npt.NDArray[np.float64], xyz: npt.NDArray[np.float64]
+    patches: npt.NDArray[np.float64], reference: ChartReference
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return CIEDE2000 [K, 24] of K sets of patches [K, 24, 3] after a fit each, and the scores [K]."""
+    """Return CIEDE2000 [K, N] of K sets of patches [K, N, 3] after a fit each, and the scores [K]."""
+    xyz, places = reference.XYZ, reference.layout.places
+    count = len(places)
+    most_left_out = count // _LEFT_OUT
     seen = np.asarray(np.isfinite(patches).all(axis=2))
     camera = np.where(seen[..., None], patches, 0.0)
     camera = camera / np.maximum(camera.mean(axis=(1, 2), keepdims=True), 1e-300)
     # As CIELAB counts errors: its cube root has the slope Y^(−2/3).
     weight = seen * xyz[:, 1] ** (-4 / 3)
     lab = lab_from_xyz(xyz)
-    light = np.zeros((len(patches), 24))
-    terms = np.column_stack([np.ones(24), _PLACES])
-    differences = np.zeros((len(patches), 24))
+    light = np.zeros((len(patches), count))
+    terms = np.column_stack([np.ones(count), places])
+    differences = np.zeros((len(patches), count))
     for turn in range(_ROUNDS):
         even = camera * np.exp(-light)[..., None]
         fitted = even @ _solved(even, xyz, weight)
@@ -162,15 +208,15 @@ def _differences(
         ratio = np.log(np.clip(fitted[..., 1], 1e-3 * xyz[:, 1], 1e3 * xyz[:, 1]) / xyz[:, 1])
         # Glare makes a patch brighter, never darker: what stands out most is left out from the second round on.
         rank = np.argsort(np.argsort(np.where(seen, -differences, 0.0), axis=1), axis=1)
-        kept = seen & (rank >= _LEFT_OUT)
+        kept = seen & (rank >= most_left_out)
         root = np.sqrt(xyz[:, 1]) * kept
         normal = np.einsum("kn,na,nb->kab", root**2, terms, terms) + 1e-9 * np.eye(3)
         plane = np.linalg.solve(normal, np.einsum("kn,na,kn->ka", root**2, terms, ratio)[..., None])[..., 0]
-        light = np.clip(light + plane[:, 1:] @ _PLACES.T, -1.2, 1.2)
+        light = np.clip(light + plane[:, 1:] @ places.T, -1.2, 1.2)
         weight = kept * xyz[:, 1] ** (-4 / 3)
     ordered = np.sort(np.where(seen, differences, np.inf), axis=1)
-    ordered = np.where(np.isfinite(ordered), ordered, 0.0)[:, : 24 - _LEFT_OUT]
-    counted = np.minimum(seen.sum(axis=1), 24 - _LEFT_OUT)
+    ordered = np.where(np.isfinite(ordered), ordered, 0.0)[:, : count - most_left_out]
+    counted = np.minimum(seen.sum(axis=1), count - most_left_out)
     return differences, ordered.sum(axis=1) / np.maximum(counted, 1)
 
 

@@ -1,7 +1,8 @@
-"""Published colours of the ColorChecker Classic 24, adapted from the D50 of the data to D65.
+"""Published colours of the ColorChecker Classic and Digital SG, adapted from the D50 of the data to D65.
 
-The data are X-Rite's of before and after November 2014 (the pigments changed then), BabelColor's average of 30 charts and
-Danny Pascale's of 2005, as colour-science carries them: xyY under ICC D50, CIE 1931 2°.
+The data are X-Rite's of before and after November 2014 (the pigments changed then), and for the Classic BabelColor's average of 30
+charts and Danny Pascale's of 2005, as colour-science carries them: xyY under ICC D50, CIE 1931 2°. Passport, Mini and Nano
+have the pigments of the Classic.
 
 The adaptation is the linear Bradford transform. It is meant to predict the patches' colours under D65, and of the
 transforms at hand it does so best: for the 24 measured reflectances of BabelColor's average, integrated under
@@ -19,79 +20,114 @@ import numpy.typing as npt
 
 from calibrate import CalibrateError
 from calibrate.adapt import CONE_FROM_XYZ
+from calibrate.chart.geometry import CLASSIC, SG, Layout
 from calibrate.difference import D65_XYZ
 
 AFTER_2014: Final = "ColorChecker24 - After November 2014"
+SG_AFTER_2014: Final = "ColorCheckerSG - After November 2014"
 REFERENCE_NAMES: Final = (
     AFTER_2014,
     "ColorChecker24 - Before November 2014",
     "BabelColor Average",
     "ColorChecker 2005",
+    SG_AFTER_2014,
+    "ColorCheckerSG - Before November 2014",
 )
 
-# The patch "white 9.5", and the largest Y a patch may have.
-_WHITE: Final = 18
+# The largest Y a patch may have, and what part of the white patch's others have that are as white: an SG has seventeen.
 _LARGEST_Y: Final = 1.05
+_AS_WHITE: Final = 0.97
+
+
+_LAYOUTS: Final = {layout.count: layout for layout in (CLASSIC, SG)}
 
 
 @dataclass(frozen=True, slots=True)
 class ChartReference:
-    """A chart's published colours: `names` (24) row by row from dark skin, and `XYZ` [24, 3] under D65.
+    """A chart's colours: `names` [N] row by row (of a Classic from dark skin), and `XYZ` [N, 3] under D65.
 
-    Y of a perfect white diffuser is 1; D65 is the chromaticity (0.3127, 0.3290) of the RGB standards.
+    Y of a perfect white diffuser is 1; D65 is the chromaticity (0.3127, 0.3290) of the RGB standards. `published` if they are not
+    those of this very chart. `wavelengths_nm` [W] and `reflectances` [N, W] where they were measured.
     """
 
     name: str
     names: tuple[str, ...]
     XYZ: npt.NDArray[np.float64]
+    layout: Layout = CLASSIC
+    published: bool = False
+    wavelengths_nm: npt.NDArray[np.float64] | None = None
+    reflectances: npt.NDArray[np.float64] | None = None
 
 
 @functools.cache
 def chart_reference(name: str = AFTER_2014) -> ChartReference:
-    """Return the published colours of an edition of the ColorChecker Classic 24 (one of `REFERENCE_NAMES`)."""
+    """Return the published colours of a chart (one of `REFERENCE_NAMES`)."""
     if name not in REFERENCE_NAMES:
         raise CalibrateError(
-            f"correct.reference: {name!r} is no known edition; expected one of: {'; '.join(REFERENCE_NAMES)}. "
+            f"correct.reference: {name!r} is no known chart; expected one of: {'; '.join(REFERENCE_NAMES)}. "
             f"Set `correct.reference: {AFTER_2014}`."
         )
     import colour
 
     chart = colour.CCS_COLOURCHECKERS[name]
     xyY = np.array([np.asarray(value, dtype=np.float64) for value in chart.data.values()])
-    xyz = np.column_stack([xyY[:, 0] / xyY[:, 1], np.ones(24), (1 - xyY[:, 0] - xyY[:, 1]) / xyY[:, 1]]) * xyY[:, 2:]
+    xyz = (
+        np.column_stack([xyY[:, 0] / xyY[:, 1], np.ones(len(xyY)), (1 - xyY[:, 0] - xyY[:, 1]) / xyY[:, 1]])
+        * xyY[:, 2:]
+    )
     x, y = (float(value) for value in chart.illuminant)
     adapted = _under_d65(xyz, np.array([x / y, 1.0, (1 - x - y) / y]))
-    return ChartReference(name=name, names=tuple(key.split(" (")[0] for key in chart.data), XYZ=adapted)
+    names = tuple(key.split(" (")[0] for key in chart.data)
+    return ChartReference(name=name, names=names, XYZ=adapted, layout=_LAYOUTS[len(names)], published=True)
 
 
-def measured_reference(name: str, xyz: npt.NDArray[np.float64], *, white: npt.NDArray[np.float64]) -> ChartReference:
+def measured_reference(
+    name: str,
+    xyz: npt.NDArray[np.float64],
+    *,
+    white: npt.NDArray[np.float64],
+    reflectances: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None,
+) -> ChartReference:
     """Return the reference of a chart whose patches were measured.
 
-    `xyz` [24, 3] row by row from dark skin, Y of a perfect white = 1, under a light of the XYZ `white` [3] (D50 for most
-    instruments; D65 leaves them as they are).
+    `xyz` [24, 3] of a Classic row by row from dark skin, or [140, 3] of an SG from A1, B1 …; Y of a perfect white = 1, under a light of
+    the XYZ `white` [3] (D50 for most instruments; D65 leaves them as they are). `reflectances`: wavelengths [W] in nm and values
+    [N, W] that the XYZ were integrated from, to be kept with them.
 
     Raises
     ------
     CalibrateError
-        If there are not 24 patches, one is no colour, or the white patch (the 19th) is not the brightest.
+        If there are neither 24 nor 140 patches, one is no colour, or the white patch is not the brightest.
     """
     measured = np.asarray(xyz, dtype=np.float64)
-    if measured.shape != (24, 3) or not np.isfinite(measured).all() or (measured[:, 1] <= 0).any():
+    layout = _LAYOUTS.get(len(measured))
+    if layout is None or measured.shape[1:] != (3,) or not np.isfinite(measured).all() or (measured[:, 1] <= 0).any():
         raise CalibrateError(
             f"correct.patches: {name}: values of shape {measured.shape}; expected finite XYZ with positive Y of 24 patches, row by "
-            "row from dark skin to black."
+            "row from dark skin to black, or of the 140 of an SG from A1, B1 to N10."
         )
-    if measured[:, 1].argmax() != _WHITE or measured[:, 1].max() > _LARGEST_Y:
+    published = chart_reference(AFTER_2014 if layout is CLASSIC else SG_AFTER_2014)
+    whites = published.XYZ[:, 1] > _AS_WHITE * published.XYZ[layout.white_patch, 1]
+    brightest = int(measured[:, 1].argmax())
+    if not whites[brightest] or measured[brightest, 1] > _LARGEST_Y:
         raise CalibrateError(
-            f"correct.patches: {name}: patch {measured[:, 1].argmax() + 1} is the brightest, Y = {measured[:, 1].max():.3f}; expected "
-            "the 19th, white, of Y between 0 and 1. Put the patches in order, row by row from dark skin, and give Y of a "
-            "perfect white as 100 or 1."
+            f"correct.patches: {name}: patch {brightest + 1} is the brightest, Y = {measured[brightest, 1]:.3f}; expected "
+            f"the {layout.white_patch + 1}th, {layout.white}, of Y between 0 and 1. Put the patches in order, row by row from "
+            f"{layout.first}, and give Y of a perfect white as 100 or 1."
         )
-    return ChartReference(name=name, names=chart_reference().names, XYZ=_under_d65(measured, np.asarray(white)))
+    at, values = (None, None) if reflectances is None else reflectances
+    return ChartReference(
+        name=name,
+        names=published.names,
+        XYZ=_under_d65(measured, np.asarray(white)),
+        layout=layout,
+        wavelengths_nm=at,
+        reflectances=values,
+    )
 
 
 def _under_d65(xyz: npt.NDArray[np.float64], white: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """XYZ [24, 3] under a light of XYZ `white` [3], adapted to D65 by the linear Bradford transform."""
+    """XYZ [N, 3] under a light of XYZ `white` [3], adapted to D65 by the linear Bradford transform."""
     bradford = CONE_FROM_XYZ["Bradford"]
     gains = (bradford @ D65_XYZ) / (bradford @ white)
     adapted = np.asarray(xyz @ np.linalg.solve(bradford, gains[:, None] * bradford).T)

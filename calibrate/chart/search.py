@@ -4,7 +4,7 @@ Nothing that looks like a grid is believed unseen: the box of each is judged by 
 drawn to the patches by `align`, and judged once more.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calibrate.chart.align import align
-from calibrate.chart.geometry import signed_area
+from calibrate.chart.geometry import Layout, signed_area
 from calibrate.chart.judge import LARGEST_SCORE, best_order, best_orders, glance, glances
 from calibrate.chart.lattice import grids
 from calibrate.chart.reference import ChartReference
@@ -42,6 +42,11 @@ _SMALLEST_PATCH: Final = 14.0
 _LARGEST_PATCH: Final = 130.0**2
 _SMALLEST_BOX: Final = 400.0
 _MOST_BOXES: Final = 4
+# Further charts are looked for in a picture that is no longer than this.
+_FURTHER_SIDE: Final = 1500.0
+# Middles that are nearer than this part of the way to the nearest corner belong to the same chart or to a part of it; two charts
+# that touch at their long sides are 1.1 apart.
+_ON_EACH_OTHER: Final = 0.8
 # Boxes whose corners differ by less, in parts of half the box, are aligned to the same place.
 _SAME: Final = 0.03
 
@@ -95,6 +100,22 @@ class Candidate:
         return self.score + (0 if self.aligned else _NOT_ALIGNED) + (LARGEST_SCORE if self.mirrored else 0) + none
 
 
+@dataclass(frozen=True, slots=True)
+class Known:
+    """A chart that was found, by its `place` as of `Found`: what covers it is no other one."""
+
+    place: npt.NDArray[np.float64]
+
+    def covers(self, found: Found) -> bool:
+        """Whether a box and this chart have their middles on each other."""
+        middles = [place.mean(axis=0) for place in (self.place, found.place)]
+        reach = max(
+            np.linalg.norm(place - middle, axis=1).min()
+            for place, middle in zip((self.place, found.place), middles, strict=True)
+        )
+        return bool(np.linalg.norm(middles[0] - middles[1]) < _ON_EACH_OTHER * reach)
+
+
 def better(best: Candidate | None, candidate: Candidate) -> Candidate:
     """Return the likelier of two candidates."""
     return candidate if best is None or candidate.rank < best.rank else best
@@ -112,20 +133,62 @@ def scales(size: tuple[int, int]) -> list[float]:
     return factors
 
 
+def search_picture(
+    image: npt.NDArray[np.float32], logarithm: npt.NDArray[np.float32], reference: ChartReference
+) -> Candidate | None:
+    """Return the likeliest chart of a picture [H, W, 3] of the relative `logarithm`; None if there is nothing that might be one."""
+    best: Candidate | None = None
+    for scale in scales(image.shape[:2]):
+        for candidate in candidates(logarithm, image, reference, scale):
+            best = better(best, candidate)
+            if best.excellent:
+                return best
+        if best is not None and best.acceptable and not best.mirrored:
+            return best
+    return best
+
+
+def further_in_picture(
+    image: npt.NDArray[np.float32], logarithm: npt.NDArray[np.float32], reference: ChartReference, known: Known
+) -> list[Candidate]:
+    """Return what may be charts beside the one that is known."""
+    apart, further = [known], []
+    for scale in further_scales(image.shape[:2]):
+        for candidate in candidates(logarithm, image, reference, scale, apart=apart):
+            if candidate.acceptable:
+                further.append(candidate)
+                apart.append(Known(candidate.corners))
+    return further
+
+
+def further_scales(size: tuple[int, int]) -> list[float]:
+    """Return the factors by which a picture of `size` (H, W) is resized to look for more than one chart: none is expensive."""
+    return [scale for scale in scales(size) if scale <= 1 and scale * max(size) <= _FURTHER_SIDE]
+
+
 def candidates(
-    logarithm: npt.NDArray[np.float32], image: npt.NDArray[np.float32], reference: ChartReference, scale: float
+    logarithm: npt.NDArray[np.float32],
+    image: npt.NDArray[np.float32],
+    reference: ChartReference,
+    scale: float,
+    *,
+    apart: Sequence[Known] = (),
 ) -> Iterator[Candidate]:
     """Yield what may be the chart in `image`, whose relative `logarithm` is resized by `scale` for the search; likeliest first.
 
     All that is found at any threshold is judged before the first is drawn to its patches. Boxes that cannot be the chart's
-    are left out, but for the best one.
+    are left out, but for the best one, and so is all that covers one of the charts `apart`.
     """
     found = [
         Found(box, *judged)
-        for boxes in _boxes(resized(logarithm, scale), scale, image.shape[:2])
-        for box, judged in zip(boxes, best_orders(glances(image, boxes), reference), strict=True)
+        for boxes in _boxes(resized(logarithm, scale), scale, image.shape[:2], reference.layout)
+        for box, judged in zip(boxes, best_orders(glances(image, boxes, reference.layout), reference), strict=True)
     ]
+    if apart:
+        found = [each for each in found if not any(chart.covers(each) for chart in apart)]
     for best in likeliest(found):
+        if any(chart.covers(best) for chart in apart):  # found since
+            continue
         yield aligned_and_judged(image, best.in_order, reference)
 
 
@@ -142,12 +205,14 @@ def zones_at(logarithm: npt.NDArray[np.float32]) -> list[Zones]:
     return flat_zones(logarithm, smallest=_SMALLEST_PATCH, largest=_LARGEST_PATCH)
 
 
-def _boxes(seen: npt.NDArray[np.float32], scale: float, size: tuple[int, int]) -> Iterator[npt.NDArray[np.float64]]:
+def _boxes(
+    seen: npt.NDArray[np.float32], scale: float, size: tuple[int, int], layout: Layout
+) -> Iterator[npt.NDArray[np.float64]]:
     """Yield for each lattice its boxes [K, 4, 2] in pixels of the image of `size` before it was resized."""
     for zones in zones_at(seen):
-        for places, indices in grids(zones):
+        for places, indices in grids(zones, layout):
             # Pixel centres are integers, so a resized image's coordinates shift by half a pixel as well.
-            boxes = windows(places, (zones.centres[indices] + 0.5) / scale - 0.5)
+            boxes = windows(places, (zones.centres[indices] + 0.5) / scale - 0.5, layout)
             boxes = boxes[[plausible(box, size) for box in boxes]]
             if len(boxes):
                 yield boxes
@@ -169,14 +234,14 @@ def aligned_and_judged(
     image: npt.NDArray[np.float32], corners: npt.NDArray[np.float64], reference: ChartReference
 ) -> Candidate:
     """Return the box drawn to the patches, or as given if that fails or fits worse."""
-    score, order = best_order(glance(image, corners), reference)
+    score, order = best_order(glance(image, corners, reference.layout), reference)
     given = Candidate(corners[list(order)], score, aligned=False)
     if not score <= WORTH_ALIGNING:
         return given
-    drawn = align(image, given.corners)
+    drawn = align(image, given.corners, reference.layout)
     if drawn is None or not plausible(drawn, image.shape[:2]):
         return given
-    score, order = best_order(glance(image, drawn), reference)
+    score, order = best_order(glance(image, drawn, reference.layout), reference)
     if score > given.score + _LOSS_ALLOWED:
         return given
     return Candidate(drawn[list(order)], score, aligned=True)

@@ -44,6 +44,12 @@ class View:
         rays = centred @ self.axes[:2] + self.axes[2]
         return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 
+    def before(self, points: Points) -> bool:
+        """Whether view pixels [..., 2] are at less than 60° from the middle of the view, where a flat chart is seen as one."""
+        return bool(
+            np.hypot(*np.moveaxis(points - (self.side - 1) / 2, -1, 0)).max() < self.focal_px * np.tan(np.pi / 3)
+        )
+
     def points(self, directions: Points) -> Points:
         """Return the view pixels [..., 2] of directions [..., 3] before it, the inverse of `directions`."""
         local = directions @ self.axes.T
@@ -61,6 +67,13 @@ class View:
             cv2.remap(strip, points[..., 0] - first, points[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
             dtype=np.float32,
         )
+
+
+def directions_on_map(points: Points, map_size: tuple[int, int]) -> Points:
+    """Return the unit directions [..., 3] of pixels [..., 2] of a lat-long map of `map_size` (H, W)."""
+    phi = 2 * np.pi * ((points[..., 0] + 0.5) / map_size[1] - 0.5)
+    theta = np.pi * (points[..., 1] + 0.5) / map_size[0]
+    return np.stack([np.sin(theta) * np.sin(phi), np.cos(theta), -np.sin(theta) * np.cos(phi)], axis=-1)
 
 
 def view_at(yaw: float, pitch: float, *, field_of_view: float, side: int, map_size: tuple[int, int]) -> View:

@@ -7,7 +7,7 @@ applies it to pictures.
 """
 
 from calibrate.correct.apply import apply_matrix
-from calibrate.correct.fit import WHITE_PATCH, ColourFit, fit_matrix
+from calibrate.correct.fit import ColourFit, fit_matrix
 from calibrate.correct.model import least_squares, root_terms
 
-__all__ = ["WHITE_PATCH", "ColourFit", "apply_matrix", "fit_matrix", "least_squares", "root_terms"]
+__all__ = ["ColourFit", "apply_matrix", "fit_matrix", "least_squares", "root_terms"]

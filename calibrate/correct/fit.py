@@ -11,15 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from calibrate import CalibrateError
-from calibrate.correct.model import PLACES, ChartFit, Floats, root_terms
+from calibrate.correct.model import ChartFit, Floats, root_terms, stands_once
 from calibrate.correct.spoilt import spoilt_patches, spoilt_warnings
 from calibrate.difference import delta_e_2000, lab_from_xyz
 
 if TYPE_CHECKING:
     from calibrate.chart.reference import ChartReference
-
-WHITE_PATCH: Final = 18
-_NEUTRAL_PATCHES: Final = slice(18, 24)
 
 _UNEVEN_LIGHT: Final = 1.6
 # The root-polynomial must predict what it has not seen by this part better; it has twice as many numbers to fit.
@@ -37,10 +34,10 @@ class ColourFit:
     """A fitted camera matrix and how well it does, patch by patch.
 
     `matrix` [3, 3] is RGB_from_camera; for a root-polynomial it is [3, 6] and multiplies (r, g, b, √rg, √gb, √br).
-    `delta_e` and `delta_e_loo` [24] are CIEDE2000 under D65 against the reference; for the latter each patch is left out of
-    the fit that predicts it. `fitted_rgb` and `target_rgb` [24, 3] are linear working RGB, 1 = a perfect white diffuser.
-    `shading` [24] is the relative light on each patch (geometric mean 1), which `fitted_rgb` and the differences are free
-    of. `white_preserved` says what was held exactly. `left_out` [24] marks patches that were spoilt and have no part in the
+    `delta_e` and `delta_e_loo` [N] are CIEDE2000 under D65 against the reference; for the latter each patch is left out of
+    the fit that predicts it. `fitted_rgb` and `target_rgb` [N, 3] are linear working RGB, 1 = a perfect white diffuser.
+    `shading` [N] is the relative light on each patch (geometric mean 1), which `fitted_rgb` and the differences are free
+    of. `white_preserved` says what was held exactly. `left_out` [N] marks patches that were spoilt and have no part in the
     fit. `model` is the one that was taken.
     """
 
@@ -89,13 +86,13 @@ def fit_matrix(
     Parameters
     ----------
     camera_rgb
-        Shape (24, 3). Mean camera RGB of each patch, linear, any scale, in the order of `reference`.
+        Shape (N, 3), of a Classic (24, 3). Mean camera RGB of each patch, linear, any scale, in the order of `reference`.
     reference
         Published XYZ under D65, Y of a perfect white = 1.
     rgb_from_xyz
         Shape (3, 3). Working RGB of D65 white is (1, 1, 1).
     white_preserving
-        Hold a white exactly: the white patch, or with ``white="neutrals"`` the mean of the six neutral patches (steadier
+        Hold a white exactly: the white patch, or with ``white="neutrals"`` the mean of a scale of six greys (steadier
         when the white patch is dirty or shiny).
     weighting
         ``"linear"`` or ``"lightness"``, see `calibrate.correct.model`.
@@ -117,17 +114,18 @@ def fit_matrix(
     _check_choice("shading", shading, ("plane", "none"))
     _check_choice("white", white, ("patch", "neutrals"))
     camera, xyz = np.asarray(camera_rgb, dtype=np.float64), np.asarray(reference.XYZ, dtype=np.float64)
-    _check_patches(camera, reference.names)
+    _check_patches(camera, reference)
+    layout, once = reference.layout, stands_once(xyz)
     held = np.zeros(len(camera), dtype=np.bool_)
     if white_preserving:
-        held[WHITE_PATCH if white == "patch" else _NEUTRAL_PATCHES] = True
+        held[[layout.white_patch] if white == "patch" else list(layout.neutrals)] = True
     linear = ChartFit(
         camera=camera,
         terms=camera,
         target=xyz,
-        weights=xyz[:, 1] ** (-4 / 3) if weighting == "lightness" else np.ones(len(xyz)),
+        weights=once * xyz[:, 1] ** (-4 / 3) if weighting == "lightness" else once,
         held=held,
-        places=PLACES if shading == "plane" else np.zeros((len(camera), 0)),
+        places=layout.places if shading == "plane" else np.zeros((len(camera), 0)),
     )
     best = _best(linear, model, reference.names, leave_out=spoilt == "leave out")
     rgb = np.asarray(rgb_from_xyz, dtype=np.float64)
@@ -184,7 +182,8 @@ def _check_choice(setting: str, value: str, known: tuple[str, ...]) -> None:
         )
 
 
-def _check_patches(camera: Floats, names: tuple[str, ...]) -> None:
+def _check_patches(camera: Floats, reference: "ChartReference") -> None:
+    names, white = reference.names, reference.layout.white_patch
     if camera.shape != (len(names), 3):
         raise CalibrateError(
             f"correct: camera RGB of shape {camera.shape}; expected ({len(names)}, 3), one row a patch. "
@@ -196,9 +195,9 @@ def _check_patches(camera: Floats, names: tuple[str, ...]) -> None:
             f"correct: no finite camera RGB for {', '.join(bad)}; every patch must be measured. Add a shorter "
             "exposure if the patch is clipped, or set the corners in `correct.chart`."
         )
-    if (camera[WHITE_PATCH] <= 0).any():
+    if (camera[white] <= 0).any():
         raise CalibrateError(
-            f"correct: the white patch reads {camera[WHITE_PATCH].round(5).tolist()}; all channels must be positive. "
+            f"correct: the white patch reads {camera[white].round(5).tolist()}; all channels must be positive. "
             "Check the black level, or set the corners in `correct.chart`."
         )
     spread = np.linalg.svd(camera, compute_uv=False)

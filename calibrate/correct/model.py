@@ -13,7 +13,9 @@ chart the first becomes 4.1 under illuminant A and 14 under 2000 K, the others s
 
 Weights: ``"linear"``, w = 1, counts radiance; ``"lightness"``, w = Y^(−4/3), counts an error as CIELAB does (its cube root has the
 slope Y^(−2/3)) and is steadier without the plane, but leaves 4–5 % in the CCT of warm lights where ``"linear"`` leaves 2. All rows
-of M share the weights, so the result does not depend on the space in which the residual is counted.
+of M share the weights, so the result does not depend on the space in which the residual is counted. A colour that stands on the
+chart n times counts 1/n each time (an SG is framed by 44 whites, greys and blacks, which would outweigh its colours); all of
+them tell the fall-off.
 
 A white-preserving fit (G. D. Finlayson and M. S. Drew, "Constrained least-squares regression in color spaces", 1997) takes
 M c_w = t_w as an equality and the rest by least squares.
@@ -29,10 +31,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from calibrate.difference import delta_e_2000, lab_from_xyz
+
 Floats = npt.NDArray[np.float64]
 
-# The patches' places on the chart: columns and rows from −½ to ½.
-PLACES: Final = np.stack([np.arange(24) % 6 / 5 - 0.5, np.arange(24) // 6 / 3 - 0.5], axis=-1)
+# Published colours nearer than this (CIEDE2000) are one that stands there several times; those of a Classic are 7 apart.
+_SAME_COLOUR: Final = 2.0
 _MOST_STEPS: Final = 12
 _DIFFERENCE: Final = 1e-5
 
@@ -84,6 +88,13 @@ class ChartFit:
             if np.abs(step).max() < 1e-10:
                 break
         return np.asarray(np.exp(self.places @ slope))
+
+
+def stands_once(xyz: Floats) -> Floats:
+    """Return one over how often the colour of each patch [N, 3] stands on the chart."""
+    lab = lab_from_xyz(xyz)
+    alike = delta_e_2000(np.repeat(lab, len(lab), axis=0), np.tile(lab, (len(lab), 1))) < _SAME_COLOUR
+    return np.asarray(1.0 / alike.reshape(len(lab), -1).sum(axis=1))
 
 
 def root_terms(camera: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from calibrate.chart.geometry import BOX_HEIGHT, BOX_WIDTH
+from calibrate.chart.geometry import CLASSIC
 from calibrate.lamp.curve import uv_from_xyz
 from calibrate.lamp.reading import Image, Mask, Points, Region
 
@@ -115,7 +115,7 @@ def chart_width(chart: Points) -> float:
     """Return the width in pixels that a chart with these corners [4, 2] would have face on, by its less foreshortened sides."""
     across = np.hypot(*(chart[1] - chart[0])) + np.hypot(*(chart[2] - chart[3]))
     down = np.hypot(*(chart[3] - chart[0])) + np.hypot(*(chart[2] - chart[1]))
-    return float(max(across, down * BOX_WIDTH / BOX_HEIGHT)) / 2
+    return float(max(across, down * CLASSIC.box[0] / CLASSIC.box[1])) / 2
 
 
 def _interior(own: npt.NDArray[np.uint8]) -> Mask:

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calibrate import CalibrateError
-from calibrate.chart.geometry import BOX_HEIGHT, BOX_WIDTH, image_from_chart, project
+from calibrate.chart.geometry import CLASSIC, image_from_chart, project
 from calibrate.lamp.expected import ExpectedColour
 from calibrate.lamp.reading import Image, Lamp, Mask, Points, Region, read_region
 from calibrate.lamp.reflected import doubts_of_mixing
@@ -72,4 +72,4 @@ def rectangle_from_chart(rectangle: tuple[float, float, float, float], chart_cor
             "width and height. Correct `balance.lamp`."
         )
     corners = np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]], dtype=np.float64)
-    return project(image_from_chart(chart_corners), corners * np.array([BOX_WIDTH, BOX_HEIGHT]))
+    return project(image_from_chart(chart_corners), corners * np.array(CLASSIC.box))

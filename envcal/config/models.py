@@ -130,22 +130,25 @@ class CorrectSettings(Settings):
     """Chart found in the reference → camera RGB to working RGB."""
 
     chart: Literal["auto"] | tuple[Pixel, Pixel, Pixel, Pixel] = "auto"
-    """`auto`, or the chart's corners in pixels: top left (dark skin), top right, bottom right, bottom left; the
+    """`auto`, or the chart's corners in pixels: top left (dark skin; A1 of an SG), top right, bottom right, bottom left; the
     corners of the box around the patches with the width of one gap about them."""
-    reference: Literal["ColorChecker24 - After November 2014", "ColorChecker24 - Before November 2014"] = (
-        "ColorChecker24 - After November 2014"
-    )
-    """The published data of the chart's patches."""
+    reference: Literal[
+        "ColorChecker24 - After November 2014",
+        "ColorChecker24 - Before November 2014",
+        "ColorCheckerSG - After November 2014",
+        "ColorCheckerSG - Before November 2014",
+    ] = "ColorChecker24 - After November 2014"
+    """Which chart it is, by its published data: one of 24 patches (Classic, Passport, Mini, Nano), or the Digital SG of 140."""
     patches: Path | None = None
     """The chart's own patches as measured: CSV or CGATS (.ti3) with XYZ, L*a*b* or reflectances of 24 patches, row by row
-    from dark skin. Takes the place of `reference`."""
+    from dark skin, or of the 140 of an SG, named A1 to N10. Takes the place of `reference`."""
     fit: Literal["linear", "white-preserving", "root-polynomial", "auto"] = "linear"
     """3×3 matrix by least squares, the same with a white met exactly, a root-polynomial of degree 2, or `auto`: that or
     the 3×3 matrix, whichever predicts patches it has not seen better."""
     spoilt: Literal["leave out", "keep"] = "leave out"
     """Whether patches with glare or dirt, which the others' fit misses by far, are left out of the fit."""
     white: Literal["patch", "neutrals"] = "patch"
-    """The white that a white-preserving fit meets: the white patch, or the mean of the six neutral ones."""
+    """The white that a white-preserving fit meets: the white patch, or the mean of the scale of six greys."""
     weighting: Literal["linear", "lightness"] = "linear"
     """What the fit makes small: errors of radiance, or errors as CIELAB counts them, which favours dark patches."""
     shading: Literal["plane", "none"] = "plane"
@@ -206,8 +209,8 @@ class PanoramaSettings(Settings):
 class PatchReading(Settings):
     """What a luminance meter read on a patch of the chart, where the reference was photographed."""
 
-    patch: Annotated[int, Field(ge=1, le=24)] | str
-    """Its number, row by row from dark skin (white is 19), or its name or the beginning of it."""
+    patch: Annotated[int, Field(ge=1, le=140)] | str
+    """Its number, row by row from dark skin (white is 19), or its name or the beginning of it (E5 is the white of an SG)."""
     luminance: Luminance
     """cd/m²."""
 

@@ -68,6 +68,8 @@ def read_profile(output: Path) -> profile.Profile | None:
 
 def chart(output: Path, calibration: profile.Profile) -> dict[str, Any]:
     """The chart in the corrected shot, and every patch: published, fitted, and how far apart."""
+    from calibrate.chart import CLASSIC, SG
+
     matrix = previews.srgb_matrix(calibration.working_space)
     patches = calibration.chart.patches
     found = {
@@ -75,6 +77,7 @@ def chart(output: Path, calibration: profile.Profile) -> dict[str, Any]:
         "delta_e": calibration.delta_e(),
         "worst": max(patches, key=lambda patch: patch.delta_e).name,
         "notable": NOTABLE_DELTA_E,
+        "columns": SG.columns if len(patches) == SG.count else CLASSIC.columns,
         "patches": [
             {
                 "patch": patch,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from envcal.profile import ChartLight, Profile, row
+from envcal.profile import ChartLight, Patch, Profile, row
 
 if TYPE_CHECKING:
     from uplift.lights import Light
@@ -27,6 +27,10 @@ _MIX_UV, _MIX_LEAST = 0.006, 0.08
 #: what cameras are like (mean square of standard deviations). 52 cameras, each left out of the model, under three lights: 1.2 and 3.3 at
 #: most; a Foveon sensor, of which the model knows none: 4.9 and 22.
 _MOST_CHI2, _MOST_UNLIKELY = 1.5, 6.0
+_NO_REFLECTANCES = (
+    "the light on the chart is not measured: that takes the patches' reflectances, and of a ColorChecker Digital SG only colours are "
+    "published. Photograph a Classic or a Passport for it, or give this chart's reflectances as measured in `correct.patches`."
+)
 
 
 def measure(
@@ -43,6 +47,7 @@ def measure(
     `lamp` [N] is the spectrum of the profile's lamp on the standard observer's grid; None: D65. A light that was refused is
     returned too, with the reason; it is kept in the profile and not used.
     """
+    from calibrate.chart import SG
     from envcal.cameras import sensitivities
     from uplift import UpliftError
     from uplift.spectrometer import measure_light, reading_of
@@ -50,8 +55,11 @@ def measure(
 
     if lamp_rgb is None:
         lamp_rgb = None if profile.lamp is None else np.asarray(profile.lamp.rgb)
-    if lamp_rgb is None or len(profile.chart.patches) != 24:
+    if lamp_rgb is None:
         return None, []
+    patches = _patches_of_known_reflectance(profile)
+    if patches is None:
+        return None, [_NO_REFLECTANCES] if len(profile.chart.patches) == SG.count else []
     if profile.root_terms is not None:
         # What the camera read of the lamp cannot be had back from working RGB then.
         return None, [
@@ -60,18 +68,20 @@ def measure(
     seen = observer()
     curves = None if camera is None else sensitivities(place_of(camera, folder), seen.wavelengths_nm)
     back = np.linalg.inv(np.asarray(profile.matrix))
-    fall_off = np.array([[patch.light] for patch in profile.chart.patches])
-    values = np.array([patch.camera_rgb for patch in profile.chart.patches]) / fall_off
-    noise = np.array([patch.noise for patch in profile.chart.patches]) / fall_off
+    fall_off = np.array([[patch.light] for patch in patches])
+    values = np.array([patch.camera_rgb for patch in patches]) / fall_off
+    noise = np.array([patch.noise for patch in patches]) / fall_off
     # Glare makes a patch say nothing.
-    spoilt = np.array([[patch.left_out] for patch in profile.chart.patches])
+    spoilt = np.array([[patch.left_out] for patch in patches])
+    nm = profile.chart.wavelengths_nm
+    measured = np.array([np.interp(seen.wavelengths_nm, nm, patch.reflectance) for patch in patches]) if nm else None
     try:
         reading = reading_of(
             values,
             np.where(spoilt, values.max(), noise),
             back @ lamp_rgb,
         )
-        found = measure_light(reading, camera=curves, observer=seen, lamp=lamp)
+        found = measure_light(reading, camera=curves, observer=seen, reflectances=measured, lamp=lamp)
     except UpliftError as error:
         return None, [f"the light on the chart could not be measured: {error}"]
     light = ChartLight(
@@ -97,6 +107,16 @@ def measure(
     if found.refused:
         return light, [f"the light on the chart is not used as a measured spectrum: {found.refused}"]
     return light, []
+
+
+def _patches_of_known_reflectance(profile: Profile) -> list[Patch] | None:
+    """The 24 patches in the order of a Classic whose reflectances are published or were measured; None if there are none."""
+    from calibrate.chart import CLASSIC, CLASSIC_ON_SG, SG
+
+    patches = profile.chart.patches
+    if len(patches) == SG.count and profile.chart.wavelengths_nm:
+        return [patches[k] for k in CLASSIC_ON_SG]
+    return patches if len(patches) == CLASSIC.count else None
 
 
 def estimated_camera(light: ChartLight | None) -> npt.NDArray[np.float64] | None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,8 +13,12 @@ from envcal import atomic, exr, provenance
 from envcal.config import CorrectSettings
 from envcal.errors import EnvcalError
 from envcal.patches_file import read_patches
-from envcal.profile import Camera, Chart, Patch, Profile, exposure_gain, matrix_rows, mismatches, row
+from envcal.profile import Camera, Chart, OtherChart, Patch, Profile, exposure_gain, matrix_rows, mismatches, row
 from envcal.runner import Outcome
+
+if TYPE_CHECKING:
+    from calibrate.chart import ChartFound, ChartReference
+    from calibrate.correct import ColourFit
 
 #: From this share of lost pixels on, clipping is named before anything else that may be wrong.
 _MUCH_LOST = 0.05
@@ -27,7 +32,7 @@ def calibrate_on_chart(
     Files that the settings name start from `folder`.
     """
     from calibrate import CalibrateError
-    from calibrate.chart import chart_from_corners, chart_reference, find_chart, measure_patches
+    from calibrate.chart import chart_from_corners, chart_reference, find_charts, measure_patches, other_charts
     from calibrate.correct import fit_matrix
     from uplift.spectrum import rgb_space
 
@@ -38,9 +43,10 @@ def calibrate_on_chart(
     latlong = header.size[1] == 2 * header.size[0]
     try:
         if settings.chart == "auto":
-            found = find_chart(image, reference, latlong=latlong)
+            found, *others = find_charts(image, reference, latlong=latlong)
         else:
-            found = chart_from_corners(np.asarray(settings.chart, np.float64))
+            found = chart_from_corners(np.asarray(settings.chart, np.float64), reference.layout)
+            others = list(other_charts(image, found, reference, latlong=latlong))
         # Bayer: a quarter of the red and blue samples were measured, half of the green; the rest is interpolated.
         patches = measure_patches(
             image, found.quads, names=reference.names, latlong=latlong, independent=(0.25, 0.5, 0.25)
@@ -65,6 +71,8 @@ def calibrate_on_chart(
         spoilt=settings.spoilt,
     )
     matrix = fit.matrix if fit.model == "linear" else fit.matrix[:, :3]
+    checked, doubts = _checked(image, others, found.corners, fit, reference, working_space, latlong=latlong)
+    reflectances = reference.reflectances
     return Profile(
         working_space=working_space,
         camera=_camera(header),
@@ -89,14 +97,69 @@ def calibrate_on_chart(
                     fitted_rgb=row(fit.fitted_rgb[k]),
                     delta_e=float(fit.delta_e[k]),
                     delta_e_left_out=float(fit.delta_e_loo[k]),
+                    reflectance=[] if reflectances is None else [float(v) for v in reflectances[k]],
                 )
                 for k, name in enumerate(reference.names)
             ],
+            wavelengths_nm=[] if reference.wavelengths_nm is None else [float(v) for v in reference.wavelengths_nm],
+            others=checked,
         ),
         matrix=matrix_rows(matrix),
         root_terms=None if fit.model == "linear" else matrix_rows(fit.matrix[:, 3:]),
-        warnings=[*found.warnings, *fit.warnings],
+        warnings=[*found.warnings, *fit.warnings, *doubts],
     )
+
+
+def _checked(
+    image: npt.NDArray[np.float32],
+    others: Sequence[ChartFound],
+    corners: npt.NDArray[np.float64],
+    fit: ColourFit,
+    reference: ChartReference,
+    working_space: str,
+    *,
+    latlong: bool,
+) -> tuple[list[OtherChart], list[str]]:
+    """What further charts say of the fit to the one at `corners`, and warnings: which was taken, and where they differ."""
+    from calibrate import CalibrateError
+    from calibrate.chart import measure_patches
+    from calibrate.crosscheck import check_chart
+    from uplift.spectrum import rgb_space
+
+    out, warnings = [], []
+    for chart in others:
+        where = f"at {chart.corners.round().astype(int).tolist()}"
+        named = f"`correct.chart: {chart.corners.round(1).tolist()}`"
+        try:
+            patches = measure_patches(image, chart.quads, names=reference.names, latlong=latlong)
+            check = check_chart(patches.rgb, fit, reference, rgb_from_xyz=rgb_space(working_space).rgb_from_xyz)
+        except CalibrateError as error:
+            warnings.append(f"correct.chart: a further chart {where} says nothing of the fit: {error}")
+            continue
+        out.append(
+            OtherChart(
+                corners=_points(chart.corners),
+                score=float(chart.score),
+                delta_e=round(check.delta_e, 4),
+                delta_e_balanced=round(check.delta_e_balanced, 4),
+                level=round(check.level, 4),
+                light_uv=round(check.light_uv, 5),
+            )
+        )
+        taken = f"the one at {corners.round().astype(int).tolist()} is used"
+        if check.another_light:
+            warnings.append(
+                f"correct.chart: several charts, in different light: {taken}; on the other, {where}, the light has another colour "
+                f"(Δu′v′ {check.light_uv:.3f}, {check.level:.2g} times as bright). The map is balanced to the light of the chart in "
+                f"use. If the other is meant, give its corners: {named}."
+            )
+        if check.disagrees:
+            warnings.append(
+                f"correct.chart: several charts that disagree: {taken}; under its matrix the other, {where}, reads a mean ΔE2000 of "
+                f"{check.delta_e_balanced:.1f}, its own {fit.delta_e.mean():.1f}. Glare or dirt on one, two lights on one, or another "
+                f"edition (`correct.reference`). If the other is the better one, give its corners: {named}."
+            )
+    return out, warnings
 
 
 def correct(
@@ -128,6 +191,7 @@ def correct(
         "delta_e": delta_e,
         "chart_score": profile.chart.score,
         "chart_found": profile.chart.found,
+        "other_charts": [other.model_dump(mode="json", exclude={"corners"}) for other in profile.chart.others],
         "exposure_gain": gain,
         "negative_pixels": negative,
     }
@@ -135,6 +199,8 @@ def correct(
         f"chart ΔE2000 mean {delta_e['mean']:.2f}, largest {delta_e['max']:.2f}; left out mean "
         f"{delta_e['left_out_mean']:.2f}"
     )
+    for other in profile.chart.others:
+        summary += f"; another chart reads {other.delta_e:.2f} under it, in light {other.level:.2g} times as bright"
     if applied is not None:
         summary = f"profile {applied} of {profile.reference_shot} applied; no chart was looked for"
     warnings = [f"{merged.name}: {text}" for text in mismatches(profile, _camera(header))]

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
-#: The chart's patch 19, white, as its reference lists them.
-WHITE_PATCH = 18
 #: By how much, relative to each other, a camera's channels differ from its model's published D65 matrix, and from sensitivities that
 #: were measured of it or of another of its model.
 _MATRIX_SPREAD, _SENSITIVITIES_SPREAD = 0.03, 0.02
@@ -114,7 +112,7 @@ def read_in_difference(
     from calibrate.lamp import find_lit_lamp, lamp_alone
 
     (header, on, sigma_on), (_, off, sigma_off) = (_read_merged(path) for path in pair)
-    white = np.asarray(profile.chart.patches[WHITE_PATCH].camera_rgb)
+    white = np.asarray(profile.chart.white.camera_rgb)
     alone = lamp_alone(on, off, sigma_on=sigma_on, sigma_off=sigma_off, white_rgb=white)
     working = apply_matrix(alone.light, profile.full_matrix())
     if isinstance(settings.lamp, LampRectangle | LampOnChart):

@@ -7,7 +7,7 @@ import pytest
 from calibrate import CalibrateError
 from calibrate.chart import chart_from_corners, chart_reference, find_chart, measure_patches
 from calibrate.chart.gaps import between_gaps
-from calibrate.chart.geometry import BOX_HEIGHT, BOX_WIDTH, box_corners, patch_quads, signed_area
+from calibrate.chart.geometry import CLASSIC, box_corners, patch_quads, signed_area
 from calibrate.chart.homographies import agreed_homographies
 from calibrate.chart.sheets import sheets
 from calibrate.chart.views import view_at
@@ -187,7 +187,7 @@ def test_four_corners_give_the_quads_of_an_independent_homography():
 def test_patches_lie_where_the_chart_is_printed():
     quads = patch_quads(1.0)
     np.testing.assert_allclose(quads[0], [[0.25, 0.25], [2.75, 0.25], [2.75, 2.75], [0.25, 2.75]])
-    np.testing.assert_allclose(quads[23, 2], [BOX_WIDTH - 0.25, BOX_HEIGHT - 0.25])
+    np.testing.assert_allclose(quads[23, 2], np.array(CLASSIC.box) - 0.25)
 
 
 def test_corners_in_a_wrong_order_are_refused():

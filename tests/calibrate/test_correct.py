@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 
 from calibrate import CalibrateError
-from calibrate.chart import AFTER_2014, ChartReference, chart_reference
-from calibrate.correct import WHITE_PATCH, apply_matrix, fit_matrix
+from calibrate.chart import AFTER_2014, CLASSIC, ChartReference, chart_reference
+from calibrate.correct import apply_matrix, fit_matrix
 from calibrate.difference import D65_XYZ, delta_e_2000, lab_from_xyz
 from tests.calibrate.rendered import patch_colours
 
@@ -43,8 +43,8 @@ def test_the_matrix_of_a_luther_camera_is_recovered_exactly(reference, weighting
 def test_a_preserved_white_comes_out_exactly_as_published(reference, light):
     camera = patch_colours(light)
     fit = fit_matrix(camera, reference, rgb_from_xyz=RGB_FROM_XYZ, white_preserving=True)
-    np.testing.assert_allclose(fit.fitted_rgb[WHITE_PATCH], fit.target_rgb[WHITE_PATCH], atol=ROUNDING)
-    assert fit.delta_e[WHITE_PATCH] < 1e-6
+    np.testing.assert_allclose(fit.fitted_rgb[CLASSIC.white_patch], fit.target_rgb[CLASSIC.white_patch], atol=ROUNDING)
+    assert fit.delta_e[CLASSIC.white_patch] < 1e-6
     neutrals = fit_matrix(camera, reference, rgb_from_xyz=RGB_FROM_XYZ, white_preserving=True, white="neutrals")
     np.testing.assert_allclose(neutrals.fitted_rgb[18:].mean(0), neutrals.target_rgb[18:].mean(0), atol=ROUNDING)
 

@@ -24,6 +24,7 @@ def frame(name: str = "a.dng", exposure: Fraction | None = Fraction(1, 60), **ch
         black_dn=(512.0,) * 4,
         white_dn=(16383.0,) * 4,
         bits=14,
+        focal_length_mm=50.0,
     )
     return dataclasses.replace(plain, **changed)
 
@@ -46,6 +47,7 @@ def test_a_sound_bracket_gives_no_warning() -> None:
         ({"f_number": 5.6}, "2.dng: aperture f/5.6 differs from aperture f/8 of 0.dng"),
         ({"camera": "Other"}, "2.dng: camera 'Other' differs from camera 'Maker One' of 0.dng"),
         ({"lens": "35 mm"}, "2.dng: lens '35 mm' differs from lens '50 mm' of 0.dng"),
+        ({"focal_length_mm": 70.0}, "2.dng: focal length 70 mm differs from focal length 50 mm of 0.dng"),
         ({"width": 5999}, "2.dng: size 5999×4000 differs from size 6000×4000 of 0.dng"),
         ({"height": 3999}, "2.dng: size 6000×3999 differs"),
         ({"cfa": "BGGR"}, "2.dng: colour filter array BGGR differs from colour filter array RGGB of 0.dng"),
@@ -102,6 +104,14 @@ def test_mixed_iso_can_be_allowed_but_needs_every_iso() -> None:
 
 def test_black_levels_measured_anew_for_every_frame_are_no_mistake() -> None:
     assert check_bracket(bracket(black_dn=(512.7, 511.9, 512.2, 512.0))) == ()
+
+
+def test_a_focal_length_that_is_rounded_otherwise_or_missing_is_no_mistake() -> None:
+    for told in (50.8, 49.2, None):
+        assert check_bracket(bracket(focal_length_mm=told)) == ()
+    zoomed = [dataclasses.replace(f, focal_length_mm=f.focal_length_mm if k else 24.0) for k, f in enumerate(bracket())]
+    with pytest.raises(CalibrateError, match=r"^0\.dng: focal length 24 mm differs.*Move the file out of the bracket"):
+        check_bracket(zoomed)
 
 
 def test_what_only_some_files_tell_is_not_compared() -> None:

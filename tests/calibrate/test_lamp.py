@@ -7,7 +7,7 @@ import pytest
 from calibrate import CalibrateError
 from calibrate.adapt import von_kries_matrix
 from calibrate.chart import ChartReference, chart_reference, find_chart, measure_patches
-from calibrate.chart.geometry import BOX_HEIGHT, BOX_WIDTH
+from calibrate.chart.geometry import CLASSIC
 from calibrate.correct import apply_matrix, fit_matrix
 from calibrate.lamp import (
     ExpectedColour,
@@ -352,10 +352,11 @@ def test_a_named_area_that_cannot_be_read_is_refused():
 
 def test_a_rectangle_of_the_whole_chart_is_the_chart():
     np.testing.assert_allclose(rectangle_from_chart((0, 0, 1, 1), CORNERS), CORNERS, atol=1e-3)
-    square_on = np.array([[0, 0], [BOX_WIDTH, 0], [BOX_WIDTH, BOX_HEIGHT], [0, BOX_HEIGHT]]) * 10.0
+    width, height = CLASSIC.box
+    square_on = np.array([[0, 0], [width, 0], [width, height], [0, height]]) * 10.0
     strip = rectangle_from_chart((1.1, 0.0, 0.1, 0.5), square_on)
-    np.testing.assert_allclose(strip.min(axis=0), [1.1 * BOX_WIDTH * 10, 0], atol=1e-3)
-    np.testing.assert_allclose(strip.max(axis=0), [1.2 * BOX_WIDTH * 10, 0.5 * BOX_HEIGHT * 10], atol=1e-3)
+    np.testing.assert_allclose(strip.min(axis=0), [1.1 * width * 10, 0], atol=1e-3)
+    np.testing.assert_allclose(strip.max(axis=0), [1.2 * width * 10, 0.5 * height * 10], atol=1e-3)
     with pytest.raises(CalibrateError, match="positive width and height"):
         rectangle_from_chart((0, 0, -1, 1), CORNERS)
 

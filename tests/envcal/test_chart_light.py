@@ -174,6 +174,43 @@ def test_without_a_lamp_or_a_whole_chart_nothing_is_measured():
     assert measure(part, CAMERA, Path()) == (None, [])
 
 
+def an_sg(light, *, known):
+    """The profile of an SG under a light, with or without its measured reflectances."""
+    from benchmarks.chart_kinds import sg_reflectances
+
+    nm = np.arange(400.0, 701.0, 10.0)
+    surfaces = np.array([np.interp(EYES.wavelengths_nm, nm, row) for row in sg_reflectances()])
+    raw = surfaces @ (curves() * light[:, None])
+    raw = raw * (1 + 0.002 * np.random.default_rng(3).standard_normal((140, 3)))
+    plain = a_profile(light)
+    patches = [
+        plain.chart.patches[0].model_copy(
+            update={
+                "camera_rgb": profile.row(raw[k]),
+                "noise": profile.row(0.002 * raw[k]),
+                "light": 1.0,
+                "reflectance": sg_reflectances()[k].tolist() if known else [],
+            }
+        )
+        for k in range(140)
+    ]
+    update = {"patches": patches, "wavelengths_nm": nm.tolist() if known else []}
+    return plain.model_copy(update={"chart": plain.chart.model_copy(update=update)})
+
+
+def test_an_sg_measures_the_light_on_it_by_its_own_measured_reflectances_and_without_them_says_what_to_do():
+    lamp = illuminant("LED-B3", EYES)
+    light, warnings = measure(an_sg(lamp, known=False), CAMERA, Path())
+    assert light is None
+    (said,) = warnings
+    assert "only colours are published" in said and "correct.patches" in said
+    light, warnings = measure(an_sg(lamp, known=True), CAMERA, Path())
+    assert light is not None and light.refused == "" and warnings == []
+    cct, _ = cct_duv_of(lamp, EYES)
+    assert light.cct == pytest.approx(cct, rel=0.03)
+    assert light.family == "led"
+
+
 def test_a_refusal_is_kept_told_and_not_used():
     light, warnings = measure(a_profile(illuminant("LED-B3", EYES), slope=0.2), CAMERA, Path())
     assert "several lights" in light.refused

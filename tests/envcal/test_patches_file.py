@@ -71,3 +71,47 @@ def test_what_is_no_list_of_patches_is_refused_with_the_file(tmp_path, text, exp
         read_patches(path)
     with pytest.raises(EnvcalError, match="cannot be read"):
         read_patches(tmp_path / "missing.csv")
+
+
+def sg_rows(order, *, names, spectra=False):
+    """A CGATS file of an SG in the order of `order`, its patches called by `names`."""
+    import colour
+
+    chart = colour.CCS_COLOURCHECKERS["ColorCheckerSG - After November 2014"].data
+    rows = {name: 100 * colour.xyY_to_XYZ(value) for name, value in chart.items()}
+    columns = ["XYZ_X", "XYZ_Y", "XYZ_Z"]
+    if spectra:
+        columns = [f"SPEC_{nm}" for nm in range(380, 731, 10)]
+        # Grey surfaces of the right brightness: enough to follow them through the files.
+        rows = {name: np.full(36, xyz[1]) for name, xyz in rows.items()}
+    lines = [" ".join([names(name), *(f"{v:.5f}" for v in rows[name])]) for name in order]
+    head = f"CGATS.17\nBEGIN_DATA_FORMAT\nSAMPLE_NAME {' '.join(columns)}\nEND_DATA_FORMAT\nBEGIN_DATA\n"
+    return head + "\n".join(lines) + "\nEND_DATA\n"
+
+
+BY_ROWS = [f"{column}{row}" for row in range(1, 11) for column in "ABCDEFGHIJKLMN"]
+BY_COLUMNS = sorted(BY_ROWS, key=lambda name: (name[0], int(name[1:])))
+
+
+@pytest.mark.parametrize("order", [BY_ROWS, BY_COLUMNS], ids=["by rows", "by columns"])
+@pytest.mark.parametrize("names", [str, lambda name: f"{name[0].lower()}{int(name[1:]):02d}"], ids=["A1", "a01"])
+def test_the_patches_of_an_sg_are_told_by_their_names_in_any_order(tmp_path, order, names):
+    (tmp_path / "sg.txt").write_text(sg_rows(order, names=names))
+    read = read_patches(tmp_path / "sg.txt")
+    sg = chart_reference("ColorCheckerSG - After November 2014")
+    np.testing.assert_allclose(read.XYZ, sg.XYZ, atol=ROUNDING)
+    assert read.layout == sg.layout and read.names == sg.names and read.reflectances is None
+
+
+def test_an_sg_without_the_names_of_its_patches_is_refused(tmp_path):
+    (tmp_path / "sg.txt").write_text(sg_rows(BY_ROWS, names=lambda name: f"{BY_ROWS.index(name) + 1}"))
+    with pytest.raises(EnvcalError, match=r"no patch is called A1, B1, C1, D1 ….*SAMPLE_NAME"):
+        read_patches(tmp_path / "sg.txt")
+
+
+def test_reflectances_are_kept_for_the_light_on_the_chart(tmp_path):
+    (tmp_path / "sg.txt").write_text(sg_rows(BY_COLUMNS, names=str, spectra=True))
+    read = read_patches(tmp_path / "sg.txt")
+    assert read.reflectances.shape == (140, 36)
+    np.testing.assert_array_equal(read.wavelengths_nm, np.arange(380, 731, 10))
+    np.testing.assert_allclose(read.reflectances[:, 0], read.XYZ[:, 1], atol=STEPS)
