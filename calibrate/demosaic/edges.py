@@ -19,6 +19,7 @@ import numpy.typing as npt
 from numba import njit, prange
 
 from calibrate.demosaic.scale import to_light, to_log
+from calibrate.reflection import reflected
 
 Plane = npt.NDArray[np.float32]
 Row = npt.NDArray[np.float32]
@@ -37,6 +38,7 @@ _TOE = 0.03
 _EVEN = np.float32(1e-4)
 
 _TYPICAL_SAMPLES = 1 << 18
+_ZERO, _ONE = np.float32(0), np.float32(1)
 _QUARTER, _HALF, _NINTH, _TWO = np.float32(0.25), np.float32(0.5), np.float32(1 / 9), np.float32(2)
 
 
@@ -55,16 +57,10 @@ def interpolate_along_edges(samples: Plane, red_row: int, red_column: int) -> np
         filled = np.where(finite, samples, top).astype(np.float32)
     image = np.empty((height, width, 3), np.float32)
     toe = np.float32(2 * _TOE * _typical(samples))
-    _interpolate(filled, _reflected(height), _reflected(width), red_row, red_column, toe, image)
+    _interpolate(filled, reflected(height, _PAD), reflected(width, _PAD), red_row, red_column, toe, image)
     if not whole:
         _forget(samples, red_row, red_column, image)
     return image
-
-
-def _reflected(n: int) -> Indices:
-    """Return the indices −8 … n+7 reflected into 0 … n−1 without repeating the edge, which keeps the pattern's phase."""
-    i = np.arange(-_PAD, n + _PAD) % (2 * n - 2)
-    return np.where(i >= n, 2 * n - 2 - i, i)
 
 
 def _typical(samples: Plane) -> float:
@@ -123,9 +119,10 @@ def _interpolate(
         one, two = np.empty(w, np.float32), np.empty(w, np.float32)
         colours = np.empty((3, w - 2 * _PAD), np.float32)
         for j in range(_PAD, h - _PAD):
-            # At red and blue: green, and the opposite colour. At green: the colour of the row, and that of the column.
-            _colour_of_row(green[j - 1 : j + 2], along[j], other[j - 1], other[j + 1], sites[j & 1], one)
-            _colour_of_column(green[j - 1 : j + 2], along[j - 1], along[j + 1], other[j], sites[j & 1], two)
+            # At green: the colour of the row, and that of the column. At red and blue: green, and the opposite colour.
+            around = green[j - 1 : j + 2]
+            _carry(around, along[j], other[j - 1], other[j + 1], sites[j & 1], _ZERO, one)
+            _carry(around, other[j], along[j - 1], along[j + 1], sites[j & 1], _ONE, two)
             to_light(one, toe)
             to_light(two, toe)
             _hold(light[j - 1], light[j], light[j + 1], one, two, sites[j & 1], colours[0], colours[1], colours[2])
@@ -215,31 +212,19 @@ def _opposite(above: Row, below: Row, over: Row, under: Row, out: Row) -> None: 
 
 
 @njit(cache=True, error_model="numpy")
-def _colour_of_row(
-    green: Plane, seen: Row, over: Row, under: Row, sites: Row, out: Row
+def _carry(
+    green: Plane, beside: Row, over: Row, under: Row, sites: Row, share: float, out: Row
 ) -> None:  # pragma: no cover - compiled
-    """At green: the colour of its row, which was measured beside, and interpolated above and below. Elsewhere green."""
+    """At green: a colour whose difference to green is known beside it in `beside`, and above and below in `over` and `under`.
+    Elsewhere green and a `share` of the difference that stands there."""
     above, here, below = green[0], green[1], green[2]
     for i in range(len(out) - 16):
-        h = abs(here[i + 7] - here[i + 9]) + abs(seen[i + 7] - seen[i + 9]) + _EVEN
-        v = abs(above[i + 8] - below[i + 8]) + abs(over[i + 8] - under[i + 8]) + _EVEN
+        left, centre, right, up, down = beside[i + 7], beside[i + 8], beside[i + 9], over[i + 8], under[i + 8]
+        h = abs(here[i + 7] - here[i + 9]) + abs(left - right) + _EVEN
+        v = abs(above[i + 8] - below[i + 8]) + abs(up - down) + _EVEN
         h, v = h * h, v * v
-        difference = _HALF * (v * (seen[i + 7] + seen[i + 9]) + h * (over[i + 8] + under[i + 8])) / (h + v)
-        out[i + 8] = here[i + 8] if sites[i + 8] > 0 else here[i + 8] + difference
-
-
-@njit(cache=True, error_model="numpy")
-def _colour_of_column(
-    green: Plane, over: Row, under: Row, other: Row, sites: Row, out: Row
-) -> None:  # pragma: no cover - compiled
-    """At green: the colour of its column, measured above and below, interpolated beside. Elsewhere the opposite colour."""
-    above, here, below = green[0], green[1], green[2]
-    for i in range(len(out) - 16):
-        h = abs(here[i + 7] - here[i + 9]) + abs(other[i + 7] - other[i + 9]) + _EVEN
-        v = abs(above[i + 8] - below[i + 8]) + abs(over[i + 8] - under[i + 8]) + _EVEN
-        h, v = h * h, v * v
-        difference = _HALF * (v * (other[i + 7] + other[i + 9]) + h * (over[i + 8] + under[i + 8])) / (h + v)
-        out[i + 8] = here[i + 8] + (other[i + 8] if sites[i + 8] > 0 else difference)
+        difference = _HALF * (v * (left + right) + h * (up + down)) / (h + v)
+        out[i + 8] = here[i + 8] + (share * centre if sites[i + 8] > 0 else difference)
 
 
 @njit(cache=True, error_model="numpy")

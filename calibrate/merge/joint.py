@@ -34,6 +34,10 @@ _BLOCKS = 64
 _COARSE, _MANY_SITES = 8, 16_000
 _STEPS = (8, 4, 3)
 
+# A step smaller than the first share of the standard error is the last, and one that takes back some of the one before and is
+# smaller than the second. What counts as the error is at least this (logarithm of light, counts).
+_CLOSE, _SEE_SAW, _SMALLEST_LIGHT, _SMALLEST_BLACK = 0.05, 0.5, 2e-5, 2e-3
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sites:
@@ -170,6 +174,8 @@ def _descend(
     """Take so many steps of Gauss and Newton; the radiances `x` of the sites are kept in place."""
     frames, size = light.shape[0], len(prior)
     residual, signal = np.empty(sites.counts.shape, np.float32), np.empty(sites.counts.shape, np.float32)
+    smallest = np.concatenate([np.full(frames, _SMALLEST_LIGHT), np.full(size - frames, _SMALLEST_BLACK)])
+    last = np.zeros(size)
     unknowns, spread, used, hessian = fit.unknowns.copy(), fit.spread, 0, fit.hessian
     for _ in range(steps):
         normal, gradient = np.zeros((_BLOCKS, size, size)), np.zeros((_BLOCKS, size))
@@ -191,10 +197,16 @@ def _descend(
         pull = gradient.sum(axis=0) - prior * unknowns
         pull[reference] = 0.0
         step = np.linalg.solve(hessian, pull)
+        error = np.maximum(np.sqrt(np.diag(np.linalg.inv(hessian))), smallest)
+        # Samples near the limit come and go with the radiance that they shape: steps end in a see-saw around the solution, and
+        # half of one ends in it.
+        back = bool(step @ (np.diag(bare) * last) < 0) and bool(np.all(np.abs(step) < _SEE_SAW * error))
+        step *= 0.5 if back else 1.0
+        last = step
         unknowns[:frames] += np.where(fixed, 0.0, np.clip(step[:frames], -0.5, 0.5))
         unknowns[:frames] -= 0.0 if fixed.any() else unknowns[reference]
         unknowns[frames:] += step[frames:]
-        if np.abs(step[:frames]).max() < 2e-5 and np.abs(step[frames:]).max() < 2e-3:
+        if back or np.all(np.abs(step) < _CLOSE * error):
             break
     return _Fit(unknowns, hessian, residual, signal, spread, used)
 
