@@ -118,7 +118,7 @@ class Writer:
                     f"{self.path}: channel {name} holds {float(np.nanmax(plane)):.4g}, more than a half float can "
                     f"(65504). Write full floats: `spectra.half: false`, or leave out --half."
                 )
-            band[name] = data.tobytes()
+            band[name] = data
         try:
             self._file.writePixels(band, count)
         except (OSError, RuntimeError) as error:
