@@ -13,6 +13,7 @@ Left out: rotation, change of focal length, parallax, rolling shutter; 6×6 patt
 """
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -259,33 +260,36 @@ def _difference(a: Plane, b: Plane, corner: tuple[int, int], tile: int, shift: S
 def _refine(a: Plane, b: Plane, corner: tuple[int, int], tile: int, start: Shift) -> Shift | None:
     """Return the shift of a tile, or None where it has too little structure to tell."""
     part = a[corner[0] : corner[0] + tile, corner[1] : corner[1] + tile]
-    shift = np.array(start)
-    normal = np.eye(2)
-    rest = part
+    rows, columns = start
+    inverse, rest = np.eye(2), part
     for _ in range(_STEPS):
-        moved = _cut(b, corner, tile, (float(shift[0]), float(shift[1])))
+        moved = _cut(b, corner, tile, (rows, columns))
         rest = part - moved
         rest = (rest - rest.mean())[1:-1, 1:-1]
-        mean = 0.5 * (part + moved)
-        down, across = (mean[2:, 1:-1] - mean[:-2, 1:-1]) / 2, (mean[1:-1, 2:] - mean[1:-1, :-2]) / 2
+        mean = np.float32(0.5) * (part + moved)
+        gradient = (mean[2:, 1:-1] - mean[:-2, 1:-1]) / 2, (mean[1:-1, 2:] - mean[1:-1, :-2]) / 2
         # What moves within the tile, or shines in one frame only, is weighted down.
         scale = 4.0 * 1.4826 * float(np.median(np.abs(rest[::3, ::3]))) + 1e-9
         weight = 1.0 / (1.0 + (rest / scale) ** 2)
-        normal = np.array(
-            [[(weight * down * down).sum(), (weight * down * across).sum()], [(weight * down * across).sum(), (weight * across * across).sum()]],
-            np.float64,
-        )  # fmt: skip
+        weighted = [weight * g for g in gradient]
+        normal = np.array([[_inner(w, g) for g in gradient] for w in weighted])
         if np.linalg.eigvalsh(normal)[0] < 1e-6:
             return None
-        step = np.linalg.solve(normal, [(weight * down * rest).sum(), (weight * across * rest).sum()])
-        shift = shift + np.clip(step, -2.0, 2.0)
-        if np.hypot(*(shift - start)) > tile / 2:
+        inverse = np.linalg.inv(normal)
+        step = inverse @ [_inner(w, rest) for w in weighted]
+        rows, columns = rows + float(np.clip(step[0], -2.0, 2.0)), columns + float(np.clip(step[1], -2.0, 2.0))
+        if math.hypot(rows - start[0], columns - start[1]) > tile / 2:
             return None
         if np.abs(step).max() < 1e-3:
             break
     # Blurred noise is correlated over about 4π σ² samples.
-    error = np.sqrt(np.linalg.inv(normal).max() * float(np.var(rest)) * 4 * np.pi * _BLUR**2)
-    return (float(shift[0]), float(shift[1])) if error < _KNOWN else None
+    error = math.sqrt(inverse.max() * float(np.var(rest)) * 4 * np.pi * _BLUR**2)
+    return (rows, columns) if error < _KNOWN else None
+
+
+def _inner(a: Plane, b: Plane) -> float:
+    """Return Σ a b; not by the linear algebra's library, whose sums hang on the number of threads."""
+    return float(np.einsum("ij,ij->", a, b))
 
 
 @njit(cache=True, parallel=True, error_model="numpy")

@@ -32,7 +32,7 @@ _BLOCKS = 64
 
 # The first steps, from what was told to nearly the truth, ask one site of so many if that leaves a good number.
 _COARSE, _MANY_SITES = 8, 16_000
-_STEPS = (8, 4, 3)
+_STEPS = (8, 8, 4)
 
 # A step smaller than the first share of the standard error is the last, and one that takes back some of the one before and is
 # smaller than the second. What counts as the error is at least this (logarithm of light, counts).
