@@ -266,12 +266,14 @@ def _refine(a: Plane, b: Plane, corner: tuple[int, int], tile: int, start: Shift
         moved = _cut(b, corner, tile, (rows, columns))
         rest = part - moved
         rest = (rest - rest.mean())[1:-1, 1:-1]
-        mean = np.float32(0.5) * (part + moved)
-        gradient = (mean[2:, 1:-1] - mean[:-2, 1:-1]) / 2, (mean[1:-1, 2:] - mean[1:-1, :-2]) / 2
+        mean = 0.25 * (part + moved)
+        slopes = mean[2:, 1:-1] - mean[:-2, 1:-1], mean[1:-1, 2:] - mean[1:-1, :-2]
+        gradient = [np.asarray(g, np.float32) for g in slopes]
         # What moves within the tile, or shines in one frame only, is weighted down.
-        scale = 4.0 * 1.4826 * float(np.median(np.abs(rest[::3, ::3]))) + 1e-9
+        some = np.abs(rest[::3, ::3]).ravel()
+        scale = 4.0 * 1.4826 * float(np.partition(some, some.size // 2)[some.size // 2]) + 1e-9
         weight = 1.0 / (1.0 + (rest / scale) ** 2)
-        weighted = [weight * g for g in gradient]
+        weighted = [np.asarray(weight * g, np.float32) for g in gradient]
         normal = np.array([[_inner(w, g) for g in gradient] for w in weighted])
         if np.linalg.eigvalsh(normal)[0] < 1e-6:
             return None
