@@ -13,18 +13,18 @@ Left out: rotation, change of focal length, parallax, rolling shutter; 6×6 patt
 """
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from numba import njit, prange
 
 from calibrate import CalibrateError
 from calibrate.exposure import BAYER_PATTERNS, MONOCHROME, FrameInfo
 from calibrate.merge.quads import quads_of
-from calibrate.merge.records import Counts, Exposure, MosaicFrame, Plane
+from calibrate.merge.records import Counts, Exposure, Float64, MosaicFrame, Plane
 from calibrate.merge.survey import decoded
 
 Shift = tuple[float, float]
@@ -70,7 +70,7 @@ class Displacement:
 class AlignedFrame:
     """A frame of which sample (y, x) shows what the frame shows at (y + rows, x + columns)."""
 
-    def __init__(self, frame: MosaicFrame, shift: Shift, clip: npt.NDArray[np.float64]) -> None:
+    def __init__(self, frame: MosaicFrame, shift: Shift, clip: Float64) -> None:
         self._frame, self._shift, self._clip = frame, shift, clip
 
     @property
@@ -139,7 +139,7 @@ def _refuse_strangers(frames: Sequence[MosaicFrame], links: Mapping[tuple[int, i
         raise CalibrateError("\n".join(mistakes))
 
 
-def shifted(mosaic: Counts, shift: Shift, *, clip: npt.NDArray[np.float64], step: int) -> Counts:
+def shifted(mosaic: Counts, shift: Shift, *, clip: Float64, step: int) -> Counts:
     """Return a mosaic moved so that (y, x) shows what stood at (y, x) + shift, within the grids of its colours.
 
     Parameters
@@ -159,7 +159,7 @@ def shifted(mosaic: Counts, shift: Shift, *, clip: npt.NDArray[np.float64], step
     return out
 
 
-def _catmull_rom(at: float) -> npt.NDArray[np.float64]:
+def _catmull_rom(at: float) -> Float64:
     """Return the weights of samples −1, 0, 1, 2 (or, for a negative place, mirrored into five taps −2…2)."""
     t = abs(at)
     w = 0.5 * np.array([-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, -(t**2) + t**3])
@@ -260,33 +260,38 @@ def _difference(a: Plane, b: Plane, corner: tuple[int, int], tile: int, shift: S
 def _refine(a: Plane, b: Plane, corner: tuple[int, int], tile: int, start: Shift) -> Shift | None:
     """Return the shift of a tile, or None where it has too little structure to tell."""
     part = a[corner[0] : corner[0] + tile, corner[1] : corner[1] + tile]
-    shift = np.array(start)
-    normal = np.eye(2)
-    rest = part
+    rows, columns = start
+    inverse, rest = np.eye(2), part
     for _ in range(_STEPS):
-        moved = _cut(b, corner, tile, (float(shift[0]), float(shift[1])))
+        moved = _cut(b, corner, tile, (rows, columns))
         rest = part - moved
         rest = (rest - rest.mean())[1:-1, 1:-1]
-        mean = 0.5 * (part + moved)
-        down, across = (mean[2:, 1:-1] - mean[:-2, 1:-1]) / 2, (mean[1:-1, 2:] - mean[1:-1, :-2]) / 2
+        mean = 0.25 * (part + moved)
+        slopes = mean[2:, 1:-1] - mean[:-2, 1:-1], mean[1:-1, 2:] - mean[1:-1, :-2]
+        gradient = [np.asarray(g, np.float32) for g in slopes]
         # What moves within the tile, or shines in one frame only, is weighted down.
-        scale = 4.0 * 1.4826 * float(np.median(np.abs(rest))) + 1e-9
+        some = np.abs(rest[::3, ::3]).ravel()
+        scale = 4.0 * 1.4826 * float(np.partition(some, some.size // 2)[some.size // 2]) + 1e-9
         weight = 1.0 / (1.0 + (rest / scale) ** 2)
-        normal = np.array(
-            [[(weight * down * down).sum(), (weight * down * across).sum()], [(weight * down * across).sum(), (weight * across * across).sum()]],
-            np.float64,
-        )  # fmt: skip
+        weighted = [np.asarray(weight * g, np.float32) for g in gradient]
+        normal = np.array([[_inner(w, g) for g in gradient] for w in weighted])
         if np.linalg.eigvalsh(normal)[0] < 1e-6:
             return None
-        step = np.linalg.solve(normal, [(weight * down * rest).sum(), (weight * across * rest).sum()])
-        shift = shift + np.clip(step, -2.0, 2.0)
-        if np.hypot(*(shift - start)) > tile / 2:
+        inverse = np.linalg.inv(normal)
+        step = inverse @ [_inner(w, rest) for w in weighted]
+        rows, columns = rows + float(np.clip(step[0], -2.0, 2.0)), columns + float(np.clip(step[1], -2.0, 2.0))
+        if math.hypot(rows - start[0], columns - start[1]) > tile / 2:
             return None
         if np.abs(step).max() < 1e-3:
             break
     # Blurred noise is correlated over about 4π σ² samples.
-    error = np.sqrt(np.linalg.inv(normal).max() * float(np.var(rest)) * 4 * np.pi * _BLUR**2)
-    return (float(shift[0]), float(shift[1])) if error < _KNOWN else None
+    error = math.sqrt(inverse.max() * float(np.var(rest)) * 4 * np.pi * _BLUR**2)
+    return (rows, columns) if error < _KNOWN else None
+
+
+def _inner(a: Plane, b: Plane) -> float:
+    """Return Σ a b; not by the linear algebra's library, whose sums hang on the number of threads."""
+    return float(np.einsum("ij,ij->", a, b))
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -294,8 +299,8 @@ def _move(
     mosaic: Counts,
     rows: int,
     columns: int,
-    taps: npt.NDArray[np.float64],
-    clip: npt.NDArray[np.float64],
+    taps: Float64,
+    clip: Float64,
     step: int,
     out: Counts,
 ) -> None:  # pragma: no cover - compiled

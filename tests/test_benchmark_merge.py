@@ -56,3 +56,15 @@ def test_the_figures_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     found = json.loads((tmp_path / "f.json").read_text(encoding="utf-8"))
     assert len(found) == 2
     assert all(entry["rows"][0]["name"] == "envcal" for entry in found.values())
+
+
+def test_the_ratios_are_those_of_the_others_and_of_one_core() -> None:
+    def row(name: str, seconds: float, rmse: float) -> merge.Row:
+        return merge.Row(name, seconds=seconds, cpu=2 * seconds, peak_per_pixel=10 * seconds, rmse={0: rmse})
+
+    rows = [row("envcal", 2.0, 0.01), row("envcal, one core", 3.0, 0.01), row("envcal to EXR", 4.0, 0.01)]
+    one_core, other = merge.ratios([*rows, row("HDRutils", 20.0, 0.02)])
+    assert one_core.endswith("1.50 times as fast as on one")
+    assert "HDRutils : envcal: time 10.0 (5.0 with the file written), CPU time 10.0, memory 10.0" in other
+    assert "error 2.00 to 2.00" in other
+    assert merge.ratios([row("HDRutils", 20.0, 0.02)]) == []

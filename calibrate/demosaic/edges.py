@@ -19,6 +19,7 @@ import numpy.typing as npt
 from numba import njit, prange
 
 from calibrate.demosaic.scale import to_light, to_log
+from calibrate.reflection import reflected
 
 Plane = npt.NDArray[np.float32]
 Row = npt.NDArray[np.float32]
@@ -37,7 +38,8 @@ _TOE = 0.03
 _EVEN = np.float32(1e-4)
 
 _TYPICAL_SAMPLES = 1 << 18
-_QUARTER, _HALF, _NINTH = np.float32(0.25), np.float32(0.5), np.float32(1 / 9)
+_ZERO, _ONE = np.float32(0), np.float32(1)
+_QUARTER, _HALF, _NINTH, _TWO = np.float32(0.25), np.float32(0.5), np.float32(1 / 9), np.float32(2)
 
 
 def interpolate_along_edges(samples: Plane, red_row: int, red_column: int) -> npt.NDArray[np.float32]:
@@ -55,16 +57,10 @@ def interpolate_along_edges(samples: Plane, red_row: int, red_column: int) -> np
         filled = np.where(finite, samples, top).astype(np.float32)
     image = np.empty((height, width, 3), np.float32)
     toe = np.float32(2 * _TOE * _typical(samples))
-    _interpolate(filled, _reflected(height), _reflected(width), red_row, red_column, toe, image)
+    _interpolate(filled, reflected(height, _PAD), reflected(width, _PAD), red_row, red_column, toe, image)
     if not whole:
         _forget(samples, red_row, red_column, image)
     return image
-
-
-def _reflected(n: int) -> Indices:
-    """Return the indices −8 … n+7 reflected into 0 … n−1 without repeating the edge, which keeps the pattern's phase."""
-    i = np.arange(-_PAD, n + _PAD) % (2 * n - 2)
-    return np.where(i >= n, 2 * n - 2 - i, i)
 
 
 def _typical(samples: Plane) -> float:
@@ -97,8 +93,7 @@ def _interpolate(
         )
         along = np.empty((h, w), np.float32)
         for j in range(h):
-            for i in range(w):
-                light[j, i] = samples[rows[y + j], columns[x + i]]
+            _cut(samples[rows[y + j]], columns, x, light[j])
             to_log(light[j], np.float32(1) / toe, scaled[j])
         # 1 where red or blue was measured, by the parity of the row; −1 where green was.
         sites = np.empty((2, w), np.float32)
@@ -122,26 +117,35 @@ def _interpolate(
         for j in range(6, h - 6):
             _opposite(green[j - 1], green[j + 1], along[j - 1], along[j + 1], other[j])
         one, two = np.empty(w, np.float32), np.empty(w, np.float32)
+        colours = np.empty((3, w - 2 * _PAD), np.float32)
         for j in range(_PAD, h - _PAD):
-            # At red and blue: green, and the opposite colour. At green: the colour of the row, and that of the column.
-            _colour_of_row(green[j - 1 : j + 2], along[j], other[j - 1], other[j + 1], sites[j & 1], one)
-            _colour_of_column(green[j - 1 : j + 2], along[j - 1], along[j + 1], other[j], sites[j & 1], two)
+            # At green: the colour of the row, and that of the column. At red and blue: green, and the opposite colour.
+            around = green[j - 1 : j + 2]
+            _carry(around, along[j], other[j - 1], other[j + 1], sites[j & 1], _ZERO, one)
+            _carry(around, other[j], along[j - 1], along[j + 1], sites[j & 1], _ONE, two)
             to_light(one, toe)
             to_light(two, toe)
-            _put(
-                light[j - 1],
-                light[j],
-                light[j + 1],
-                one,
-                two,
-                sites[j & 1],
-                (j & 1) == red_row,
-                image[y + j - _PAD, x : x + w - 2 * _PAD],
-            )
+            _hold(light[j - 1], light[j], light[j + 1], one, two, sites[j & 1], colours[0], colours[1], colours[2])
+            red, blue = (colours[1], colours[2]) if (j & 1) == red_row else (colours[2], colours[1])
+            _join(red, colours[0], blue, image[y + j - _PAD, x : x + w - 2 * _PAD])
 
 
 # The loops over a row, from here on, ask for no place that could be negative: the compiler, which would have to ask whether it
-# counts from the end, can then vectorise them.
+# counts from the end, can then vectorise them. Their constants are float32, as an integer would make doubles of what it meets.
+
+
+@njit(cache=True, error_model="numpy")
+def _cut(row: Row, columns: Indices, start: int, out: Row) -> None:  # pragma: no cover - compiled
+    """Take part of a row, with what is reflected at its ends; `columns` counts from the left end of the padding."""
+    inner = max(_PAD - start, 0)
+    outer = min(len(row) + _PAD - start, len(out))
+    for i in range(inner):
+        out[i] = row[columns[start + i]]
+    middle, part = out[inner:outer], row[start + inner - _PAD : start + outer - _PAD]
+    for i in range(len(middle)):
+        middle[i] = part[i]
+    for i in range(outer, len(out)):
+        out[i] = row[columns[start + i]]
 
 
 @njit(cache=True, error_model="numpy")
@@ -179,7 +183,7 @@ def _change_in_columns(d: Plane, out: Row) -> None:  # pragma: no cover - compil
     middle of these seven rows and the three that start below."""
     a, b, c, e, f, g, h = d[0], d[1], d[2], d[3], d[4], d[5], d[6]
     for i in range(d.shape[1]):
-        out[i] = abs(a[i] - c[i]) + abs(b[i] - e[i]) + 2 * abs(c[i] - f[i]) + abs(e[i] - g[i]) + abs(f[i] - h[i])
+        out[i] = abs(a[i] - c[i]) + abs(b[i] - e[i]) + _TWO * abs(c[i] - f[i]) + abs(e[i] - g[i]) + abs(f[i] - h[i])
 
 
 @njit(cache=True, error_model="numpy")
@@ -187,12 +191,13 @@ def _green(
     t: Row, across: Row, along: Row, sites: Row, unsteady: Row, upright: Row, out: Row
 ) -> None:  # pragma: no cover - compiled
     for i in range(len(t) - 10):
-        row = unsteady[i + 2] + unsteady[i + 3] + 2 * unsteady[i + 4] + unsteady[i + 5] + unsteady[i + 6]
+        row = unsteady[i + 2] + unsteady[i + 3] + _TWO * unsteady[i + 4] + unsteady[i + 5] + unsteady[i + 6]
         column = upright[i + 4] + upright[i + 5] + upright[i + 6]
         row, column = row * _NINTH + _EVEN, column * _NINTH + _EVEN
         row, column = row * row, column * column
-        mixed = (column * across[i + 5] + row * along[i + 5]) / (row + column)
-        out[i + 5] = t[i + 5] - mixed if sites[i + 5] > 0 else t[i + 5]
+        here, d, e = t[i + 5], across[i + 5], along[i + 5]
+        mixed = (column * d + row * e) / (row + column)
+        out[i + 5] = here - mixed if sites[i + 5] > 0 else here
 
 
 @njit(cache=True, error_model="numpy")
@@ -207,51 +212,43 @@ def _opposite(above: Row, below: Row, over: Row, under: Row, out: Row) -> None: 
 
 
 @njit(cache=True, error_model="numpy")
-def _colour_of_row(
-    green: Plane, seen: Row, over: Row, under: Row, sites: Row, out: Row
+def _carry(
+    green: Plane, beside: Row, over: Row, under: Row, sites: Row, share: float, out: Row
 ) -> None:  # pragma: no cover - compiled
-    """At green: the colour of its row, which was measured beside, and interpolated above and below. Elsewhere green."""
+    """At green: a colour whose difference to green is known beside it in `beside`, and above and below in `over` and `under`.
+    Elsewhere green and a `share` of the difference that stands there."""
     above, here, below = green[0], green[1], green[2]
     for i in range(len(out) - 16):
-        h = abs(here[i + 7] - here[i + 9]) + abs(seen[i + 7] - seen[i + 9]) + _EVEN
-        v = abs(above[i + 8] - below[i + 8]) + abs(over[i + 8] - under[i + 8]) + _EVEN
+        left, centre, right, up, down = beside[i + 7], beside[i + 8], beside[i + 9], over[i + 8], under[i + 8]
+        h = abs(here[i + 7] - here[i + 9]) + abs(left - right) + _EVEN
+        v = abs(above[i + 8] - below[i + 8]) + abs(up - down) + _EVEN
         h, v = h * h, v * v
-        difference = _HALF * (v * (seen[i + 7] + seen[i + 9]) + h * (over[i + 8] + under[i + 8])) / (h + v)
-        out[i + 8] = here[i + 8] if sites[i + 8] > 0 else here[i + 8] + difference
+        difference = _HALF * (v * (left + right) + h * (up + down)) / (h + v)
+        out[i + 8] = here[i + 8] + (share * centre if sites[i + 8] > 0 else difference)
 
 
 @njit(cache=True, error_model="numpy")
-def _colour_of_column(
-    green: Plane, over: Row, under: Row, other: Row, sites: Row, out: Row
+def _hold(
+    above: Row, here: Row, below: Row, one: Row, two: Row, sites: Row, green: Row, beside: Row, across: Row
 ) -> None:  # pragma: no cover - compiled
-    """At green: the colour of its column, measured above and below, interpolated beside. Elsewhere the opposite colour."""
-    above, here, below = green[0], green[1], green[2]
-    for i in range(len(out) - 16):
-        h = abs(here[i + 7] - here[i + 9]) + abs(other[i + 7] - other[i + 9]) + _EVEN
-        v = abs(above[i + 8] - below[i + 8]) + abs(over[i + 8] - under[i + 8]) + _EVEN
-        h, v = h * h, v * v
-        difference = _HALF * (v * (other[i + 7] + other[i + 9]) + h * (over[i + 8] + under[i + 8])) / (h + v)
-        out[i + 8] = here[i + 8] + (other[i + 8] if sites[i + 8] > 0 else difference)
+    """Hold what was interpolated between the samples it lies between: green, the colour of the row, that of the next row."""
+    for x in range(len(green)):
+        n, s, w, e = above[x + 8], below[x + 8], here[x + 7], here[x + 9]
+        nw, ne, sw, se = above[x + 7], above[x + 9], below[x + 7], below[x + 9]
+        sample, a, b = here[x + 8], one[x + 8], two[x + 8]
+        top, bottom, left, right = max(n, s), min(n, s), max(w, e), min(w, e)
+        at_colour = sites[x + 8] > 0
+        held = min(max(a, min(bottom, right)), max(top, left))
+        green[x] = held if at_colour else sample
+        beside[x] = sample if at_colour else min(max(a, right), left)
+        corner = min(max(b, min(nw, ne, sw, se)), max(nw, ne, sw, se))
+        across[x] = corner if at_colour else min(max(b, bottom), top)
 
 
 @njit(cache=True, error_model="numpy")
-def _put(
-    above: Row, here: Row, below: Row, one: Row, two: Row, sites: Row, red_here: bool, image: Plane
-) -> None:  # pragma: no cover - compiled
-    """Hold what was interpolated between the samples it lies between, and give the colours their channels."""
-    row, column = (0, 2) if red_here else (2, 0)
+def _join(red: Row, green: Row, blue: Row, image: Plane) -> None:  # pragma: no cover - compiled
     for x in range(len(image)):
-        i = x + _PAD
-        n, s, w, e = above[i], below[i], here[i - 1], here[i + 1]
-        if sites[i] > 0:
-            nw, ne, sw, se = above[i - 1], above[i + 1], below[i - 1], below[i + 1]
-            image[x, 1] = min(max(one[i], min(n, s, w, e)), max(n, s, w, e))
-            image[x, column] = min(max(two[i], min(nw, ne, sw, se)), max(nw, ne, sw, se))
-            image[x, row] = here[i]
-        else:
-            image[x, 1] = here[i]
-            image[x, row] = min(max(one[i], min(w, e)), max(w, e))
-            image[x, column] = min(max(two[i], min(n, s)), max(n, s))
+        image[x, 0], image[x, 1], image[x, 2] = red[x], green[x], blue[x]
 
 
 def _forget(samples: Plane, red_row: int, red_column: int, image: npt.NDArray[np.float32]) -> None:

@@ -4,12 +4,18 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit, prange
 
+from calibrate.reflection import reflected
+
 Plane = npt.NDArray[np.float32]
 Row = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
+Indices = npt.NDArray[np.int64]
 
 # How far a defect stands above the largest, or below the smallest, of its eight neighbours.
 _FACTOR = np.float32(1.5)
+
+# Photosites around one that are looked at, in each direction.
+_REACH = 3
 
 
 def find_defects(mosaic: Plane, weights: Plane, *, ceiling: float) -> npt.NDArray[np.int32]:
@@ -36,23 +42,17 @@ def find_defects(mosaic: Plane, weights: Plane, *, ceiling: float) -> npt.NDArra
         Radiance that a lost pixel has at least.
     """
     height, width = mosaic.shape
-    rows, columns = _reflected(height), _reflected(width)
+    rows, columns = reflected(height, _REACH), reflected(width, _REACH)
     mask = np.zeros(mosaic.shape, np.bool_)
     _mark_defects(mosaic, weights, ceiling, rows, columns, mask)
     return np.argwhere(mask).astype(np.int32)
-
-
-def _reflected(n: int) -> npt.NDArray[np.int64]:
-    """Return the indices −3 … n+2 reflected into 0 … n−1 without repeating the edge, which keeps the CFA's phase."""
-    i = np.abs(np.arange(-3, n + 3))
-    return np.where(i >= n, 2 * (n - 1) - i, i)
 
 
 def replace_defects(mosaic: Plane, lost: npt.NDArray[np.bool_], at: npt.NDArray[np.int32]) -> None:
     """Put the median of the eight neighbours of the same colour in the places `at`, in both arrays."""
     if not len(at):
         return
-    rows, columns = _reflected(mosaic.shape[0]), _reflected(mosaic.shape[1])
+    rows, columns = reflected(mosaic.shape[0], _REACH), reflected(mosaic.shape[1], _REACH)
     ring = [(dy, dx) for dy in (1, 3, 5) for dx in (1, 3, 5) if (dy, dx) != (3, 3)]
     around = np.stack([mosaic[rows[at[:, 0] + dy], columns[at[:, 1] + dx]] for dy, dx in ring], axis=-1)
     known = ~np.isnan(around).all(axis=-1)
@@ -72,8 +72,8 @@ def _stands_alone(
     mosaic: Plane,
     weights: Plane,
     ceiling: float,
-    rows: npt.NDArray[np.int64],
-    columns: npt.NDArray[np.int64],
+    rows: Indices,
+    columns: Indices,
     y: int,
     x: int,
     sign: float,
@@ -129,8 +129,8 @@ def _mark_defects(
     mosaic: Plane,
     weights: Plane,
     ceiling: float,
-    rows: npt.NDArray[np.int64],
-    columns: npt.NDArray[np.int64],
+    rows: Indices,
+    columns: Indices,
     mask: Mask,
 ) -> None:  # pragma: no cover - compiled
     height, width = mosaic.shape

@@ -10,7 +10,7 @@ from calibrate import CalibrateError
 from calibrate.exposure import BAYER_PATTERNS, MONOCHROME, FrameInfo, by_exposure, check_bracket
 from calibrate.merge.defects import find_defects, replace_defects
 from calibrate.merge.measure import Asked, measure_bracket
-from calibrate.merge.records import Exposure, Float64, FrameUse, Measured, Merged, MosaicFrame, NoiseModel
+from calibrate.merge.records import Exposure, Float64, FrameUse, Measured, Merged, MosaicFrame, NoiseModel, Plane
 from calibrate.merge.windows import Skip, Weighed, weigh_bracket
 
 
@@ -67,49 +67,64 @@ def merge_mosaics(
     """
     infos = [f.info for f in frames]
     warnings = list(check_bracket(infos, mixed_iso=mixed_iso, mixed_aperture=mixed_aperture))
-    if noise is not None and not (noise.gain_e_per_dn > 0 and noise.read_noise_e > 0):
-        raise CalibrateError(
-            f"merge: noise model with gain {noise.gain_e_per_dn:g} e-/DN and read noise {noise.read_noise_e:g} e-; "
-            "both must be above 0. Leave `merge.gain_e_per_dn` and `merge.read_noise_e` out to have them measured."
-        )
     if measured is None:
-        told = Asked(
-            clip="file",
-            black="file",
-            exposures="file",
-            gain_e_per_dn=None if noise is None else noise.gain_e_per_dn,
-            read_noise_e=None if noise is None else noise.read_noise_e,
-            mixed_aperture=mixed_aperture,
-            noise="file",
-        )
-        measured = measure_bracket(frames, told)
+        measured = _as_told(frames, noise, mixed_aperture=mixed_aperture)
     warnings += measured.warnings
     order = by_exposure(infos, mixed_aperture=mixed_aperture)
     frames, infos = [frames[i] for i in order], [infos[i] for i in order]
     exposures = [measured.exposures[i] for i in order]
     skips = None if ghosts is None else [ghosts[i] for i in order]
     weighed = weigh_bracket(frames, exposures, skips, progress=progress)
-    mosaic, weights = weighed.mosaic, weighed.weights
-    lost = weights == 0
-    shortest = exposures[0]
+    mosaic, cfa, shortest = weighed.mosaic, infos[0].cfa, exposures[0]
+    lost = weighed.weights == 0
     ceiling: Float64 = (shortest.clip - shortest.black) / shortest.span / shortest.light
     at = np.empty((0, 2), np.int32)
-    cfa = infos[0].cfa
     if defects and cfa in (*BAYER_PATTERNS, MONOCHROME):
-        at = find_defects(mosaic, weights, ceiling=float(ceiling.min()))
+        at = find_defects(mosaic, weighed.weights, ceiling=float(ceiling.min()))
         replace_defects(mosaic, lost, at)
-    sigma = None
-    if deviation:
-        with np.errstate(divide="ignore"):
-            sigma = np.divide(1.0, np.sqrt(weights, out=weights), out=weights)
-        sigma[lost] = np.nan
-    lost_count = int(lost.sum())
+    lost_count = int(np.count_nonzero(lost))
     uses = _uses(infos, exposures, weighed, skips)
-    warnings += _warnings(uses, lost_count, len(at), mosaic.size)
-    moved = None if skips is None else _whole(np.maximum.reduce([s.astype(np.bool_) for s in skips]), mosaic.shape)
     return Merged(
-        mosaic, lost, cfa, uses, lost_count, len(at), at, measured.noise, ceiling, sigma, moved, tuple(warnings)
+        mosaic=mosaic,
+        lost=lost,
+        cfa=cfa,
+        frames=uses,
+        lost_count=lost_count,
+        defect_count=len(at),
+        defects=at,
+        noise=measured.noise,
+        ceiling=ceiling,
+        deviation=_deviation(weighed.weights, lost) if deviation else None,
+        ghosts=None if skips is None else _anywhere(skips, mosaic.shape),
+        warnings=(*warnings, *_warnings(uses, lost_count, len(at), mosaic.size)),
     )
+
+
+def _as_told(frames: Sequence[MosaicFrame], noise: NoiseModel | None, *, mixed_aperture: bool) -> Measured:
+    """Return what the files say of themselves, under a noise model that is given or guessed."""
+    if noise is not None and not (noise.gain_e_per_dn > 0 and noise.read_noise_e > 0):
+        raise CalibrateError(
+            f"merge: noise model with gain {noise.gain_e_per_dn:g} e-/DN and read noise {noise.read_noise_e:g} e-; "
+            "both must be above 0. Leave `merge.gain_e_per_dn` and `merge.read_noise_e` out to have them measured."
+        )
+    told = Asked(
+        clip="file",
+        black="file",
+        exposures="file",
+        gain_e_per_dn=None if noise is None else noise.gain_e_per_dn,
+        read_noise_e=None if noise is None else noise.read_noise_e,
+        mixed_aperture=mixed_aperture,
+        noise="file",
+    )
+    return measure_bracket(frames, told)
+
+
+def _deviation(weights: Plane, lost: npt.NDArray[np.bool_]) -> Plane:
+    """Return the standard deviation of every sample, NaN where it is lost, in the memory of the weights."""
+    with np.errstate(divide="ignore"):
+        sigma = np.divide(1.0, np.sqrt(weights, out=weights), out=weights)
+    sigma[lost] = np.nan
+    return sigma
 
 
 def _uses(
@@ -129,7 +144,9 @@ def _uses(
     )
 
 
-def _whole(halves: npt.NDArray[np.bool_], shape: tuple[int, int]) -> npt.NDArray[np.bool_]:
+def _anywhere(skips: Sequence[Skip], shape: tuple[int, int]) -> npt.NDArray[np.bool_]:
+    """Return where some frame was left out, a mask (H, columns)."""
+    halves = np.maximum.reduce([s.astype(np.bool_) for s in skips])
     whole: npt.NDArray[np.bool_] = halves.repeat(2, axis=0).repeat(2, axis=1)[: shape[0], : shape[1]]
     return whole
 

@@ -42,28 +42,32 @@ def accumulate(  # noqa: PLR0912, PLR0915 - one pass over the frames of a site
         for i in range(sites * block // blocks, sites * (block + 1) // blocks):
             p, g = position[i], group[i]
             above, below = 0.0, 0.0
-            if np.isnan(x[i]):
+            fresh = np.isnan(x[i])
+            if fresh:
                 for k in range(frames):
                     if counts[i, k] < black[k, p] + LINEAR * (clip[k, p] - black[k, p]):
                         above += light[k, p] * (counts[i, k] - black[k, p] - shift[g])
                         below += light[k, p] * light[k, p]
                 x[i] = above / below if below > 0 else 0.0
             valid = 0
-            above, below = 0.0, 0.0
-            for k in range(frames):
-                a[k] = light[k, p]
-                d[k] = counts[i, k] - black[k, p] - shift[g]
-                s = a[k] * x[i]
-                residual[i, k] = np.nan
-                signal[i, k] = s
-                w[k] = 0.0
-                if s < LINEAR * (clip[k, p] - black[k, p]) and counts[i, k] < clip[k, p]:
-                    w[k] = 1.0 / (read2[k] + max(s, 0.0) / gain[k])
-                    above += w[k] * a[k] * d[k]
-                    below += w[k] * a[k] * a[k]
-                    valid += 1
-            if below > 0.0:
-                x[i] = above / below
+            # A first guess is settled before anything is concluded from it.
+            for _ in range(3 if fresh else 1):
+                valid = 0
+                above, below = 0.0, 0.0
+                for k in range(frames):
+                    a[k] = light[k, p]
+                    d[k] = counts[i, k] - black[k, p] - shift[g]
+                    s = a[k] * x[i]
+                    residual[i, k] = np.nan
+                    signal[i, k] = s
+                    w[k] = 0.0
+                    if s < LINEAR * (clip[k, p] - black[k, p]) and counts[i, k] < clip[k, p]:
+                        w[k] = 1.0 / (read2[k] + max(s, 0.0) / gain[k])
+                        above += w[k] * a[k] * d[k]
+                        below += w[k] * a[k] * a[k]
+                        valid += 1
+                if below > 0.0:
+                    x[i] = above / below
             if valid < 2:
                 continue
             robust = 0.0

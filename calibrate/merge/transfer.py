@@ -1,5 +1,7 @@
 """Gain and read noise from the residuals of a fit: the photon transfer curve (Janesick 2007, "Photon Transfer", SPIE)."""
 
+import itertools
+
 import numpy as np
 import numpy.typing as npt
 
@@ -15,11 +17,12 @@ def photon_transfer(
     s = np.maximum(signal[seen].astype(np.float64), 0.0)
     squares = residual[seen].astype(np.float64) ** 2 * (read2 + s / gain)
     edges = np.concatenate([[0.0], np.geomspace(2.0, max(float(s.max(initial=0.0)), 4.0), _BINS)])
-    which = np.digitize(s, edges[1:-1])
+    which = np.digitize(s, edges[1:-1]).astype(np.uint8)
+    order = np.argsort(which, kind="stable")
+    s, squares = s[order], squares[order]
     rows = []
-    for k in range(_BINS):
-        inside = which == k
-        count = int(inside.sum())
+    for inside in itertools.starmap(slice, itertools.pairwise(np.searchsorted(which[order], np.arange(_BINS + 1)))):
+        count = inside.stop - inside.start
         if count >= 60:
             # The median of χ² with one degree of freedom is 0.4549.
             rows.append((float(s[inside].mean()), float(np.median(squares[inside])) / 0.45494, count))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from calibrate.merge.records import Counts, Exposure, Float64, MosaicFrame, Plane
+from calibrate.merge.records import Counts, Exposure, MosaicFrame, Plane
 from calibrate.merge.survey import decoded
 from calibrate.merge.weights import weigh
 
@@ -90,10 +90,11 @@ def _windows(frames: Sequence[MosaicFrame]) -> Iterator[tuple[int, list[Counts]]
         mosaics.clear()
 
 
-def _stacked(exposures: Sequence[Exposure]) -> tuple[Float64, ...]:
-    """Return black, clipping level, span, light, electrons of one unit and read variance in units², (N, P) each."""
-    span = np.array([e.span for e in exposures])
+def _stacked(exposures: Sequence[Exposure]) -> tuple[Plane, ...]:
+    """Return black, clipping level, one count, light, and the variance of a sample by radiance and without light, (N, P) each."""
+    black, clip, span, light = (
+        np.array([getattr(e, name) for e in exposures]) for name in ("black", "clip", "span", "light")
+    )
     electrons = np.array([e.gain_e_per_dn for e in exposures])[:, None] * span
     read = (np.array([e.read_noise_e for e in exposures])[:, None] / electrons) ** 2
-    black, clip, light = (np.array([getattr(e, name) for e in exposures]) for name in ("black", "clip", "light"))
-    return black, clip, span, light, electrons, read
+    return tuple(a.astype(np.float32) for a in (black, clip, 1.0 / span, light, light / electrons, read))

@@ -92,7 +92,7 @@ class RawFrame:
 
 
 def open_bracket(paths: Sequence[Path], *, keep: int = KEPT_MOSAICS) -> list[RawFrame]:
-    """Decode every file once, two at a time, check it, and keep all mosaics in memory if they are no more than `keep`.
+    """Decode every file once, a few at a time, check it, and keep all mosaics in memory if they are no more than `keep`.
 
     Raises
     ------
@@ -107,8 +107,8 @@ def open_bracket(paths: Sequence[Path], *, keep: int = KEPT_MOSAICS) -> list[Raw
             return error
         return RawFrame(path, info=info, kept=mosaic if len(paths) <= keep else None)
 
-    # LibRaw lets go of the interpreter while it decodes; more than two at a time would cost memory.
-    with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
+    # LibRaw lets go of the interpreter while it decodes; one more than two keeps both busy to the end. More would cost memory.
+    with ThreadPoolExecutor(min(3, (os.cpu_count() or 1) + 1)) as pool:
         found = list(pool.map(frame_of, paths))
     mistakes = [str(f) for f in found if isinstance(f, EnvcalError)]
     if mistakes:

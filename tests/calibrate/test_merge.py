@@ -163,9 +163,21 @@ def slow_merge(frames: Sequence[Frame], noise: NoiseModel) -> npt.NDArray[np.flo
     return out
 
 
-def test_it_is_what_a_slow_obvious_loop_says() -> None:
-    radiance = 10 ** np.random.default_rng(4).uniform(-4, 2.7, (30, 40))
-    frames = exposed(radiance, seed=4)
+@pytest.mark.parametrize(
+    "times",
+    [
+        TIMES,
+        # Thirds of a stop: a longer frame may see what a shorter one clips.
+        tuple(Fraction(round(1000 * 2 ** (n / 3)), 64_000) for n in range(6)),
+        # 14 EV apart: the sums of the short frame are lost in the rounding of the long one's.
+        (Fraction(1, 65_536), Fraction(1, 4)),
+        (Fraction(1, 32_768), Fraction(1, 16_384), Fraction(1), Fraction(2)),
+    ],
+)
+def test_it_is_what_a_slow_obvious_loop_says(times: tuple[Fraction, ...]) -> None:
+    # Odd sides, so that a row ends within a pattern.
+    radiance = 10 ** np.random.default_rng(4).uniform(-4, np.log10(2 / float(times[0])), (31, 41))
+    frames = exposed(radiance, times, seed=4)
     merged = merge_mosaics(frames, noise=NOISE, defects=False)
     expected = slow_merge(frames, NOISE)
     # Sums in float32 against double; radiances near zero are differences of larger sums.

@@ -18,17 +18,20 @@ def planes(height=70, width=64, seed=1):
     }
 
 
-def test_planes_and_attributes_come_back_as_they_were_written(tmp_path):
-    wanted = planes()
+@pytest.mark.parametrize("compression", ["zip", "rle", "none"])
+def test_planes_and_attributes_come_back_as_they_were_written(tmp_path, compression):
+    # More rows than are converted at a time, and a plane of which every third sample is the channel's.
+    wanted = planes(height=150)
+    wanted["R"] = np.repeat(wanted["R"][..., None], 3, axis=2)[..., 1]
     attributes = {"envmap": True, "chromaticities": BT2020, "unit": "relative", "n": 3, "f": 0.5, "x": {"λ": [1, 2]}}
-    exr.write(tmp_path / "a.exr", wanted, attributes=attributes)
+    exr.write(tmp_path / "a.exr", wanted, attributes=attributes, compression=compression)
     header, found = exr.read(tmp_path / "a.exr", list(wanted))
     assert all(np.array_equal(found[name], wanted[name]) and found[name].dtype == wanted[name].dtype for name in wanted)
     assert header.latlong
     assert header.chromaticities == pytest.approx(BT2020, abs=1e-6)
     assert header.json("x") == {"λ": [1, 2]}
     assert (header.attributes["n"], header.attributes["f"], header.attributes["unit"]) == (3, 0.5, "relative")
-    assert header.size == (70, 64)
+    assert header.size == (150, 64)
 
 
 def test_the_librarys_own_reader_sees_the_mended_header(tmp_path):
