@@ -26,8 +26,8 @@ import numpy.typing as npt
 
 from calibrate.adapt import von_kries_matrix
 from calibrate.chart import ChartReference, chart_reference
+from calibrate.chart.geometry import CLASSIC
 from calibrate.correct import fit_matrix
-from calibrate.correct.model import PLACES
 from calibrate.trained import matrix_of_sensitivities
 from uplift.cct import cct_duv, planck
 from uplift.spectrum import illuminant, observer
@@ -99,7 +99,7 @@ def errors_by_chart(
     """
     reference, lamp, spectrum = true_reference(reflectances), light("D65"), light(name)
     truth, white = cct(spectrum @ EYES.cmfs), lamp @ EYES.cmfs
-    on_patches = (1.0 - falls_by) ** PLACES[:, :1]
+    on_patches = (1.0 - falls_by) ** CLASSIC.places[:, :1]
     errors: dict[str, list[float]] = {transform: [] for transform in TRANSFORMS}
     for sensitivities in cameras:
         seen = on_patches * (reflectances * spectrum @ sensitivities)
