@@ -10,6 +10,8 @@ left is the camera's and the fit's alone. 380–780 nm by 5 nm, CIE 1931 2°.
 2. **Lamp**: relative error of the colour temperature (Ohno 2013) of the light on the chart after an ideal D65 lamp in the
    same light was balanced: by the chart's matrix and each adaptation, and by the sensitivities with the lamp first.
 3. **Fall-off**: the same in CAT16 where the light falls by 20 % from one side of the chart to the other, and the fit knows of it or not.
+3. **Elsewhere** (`estimated_cameras`): the colours of other things, in the chart's light and in others, by the chart's matrix, by sensitivities
+   estimated from chart and lamp, and by measured ones.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.estimated_cameras import elsewhere
 from calibrate.adapt import von_kries_matrix
 from calibrate.chart import ChartReference, chart_reference
 from calibrate.chart.geometry import CLASSIC
@@ -144,7 +147,12 @@ def main(arguments: list[str] | None = None) -> int:
         print("camera_sensitivities.npz: expected 380–780 nm by 5 nm", file=sys.stderr)
         return 1
     cameras, reflectances = np.asarray(data["ssf"], dtype=np.float64), chart()
-    figures = measured(cameras[:: max(given.every, 1)], reflectances)
+    chosen = cameras[:: max(given.every, 1)]
+    figures = measured(chosen, reflectances)
+    print(
+        "\nmean ΔE2000 of other things in the chart's light and in five others (worst camera); a camera is estimated by the others"
+    )
+    figures["elsewhere"] = elsewhere(chosen, cameras, reflectances, true_reference(reflectances))
     if given.json:
         given.json.write_text(json.dumps(figures, indent=1), encoding="utf-8")
     return 0

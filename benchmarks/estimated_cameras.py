@@ -84,16 +84,22 @@ def matrices(
 
 
 def elsewhere(
-    cameras: Floats, reflectances: Floats, reference: ChartReference, names: Sequence[str] = ON_CHART
+    cameras: Floats,
+    known: Floats,
+    reflectances: Floats,
+    reference: ChartReference,
+    names: Sequence[str] = ON_CHART,
 ) -> dict[str, Any]:
-    """Print and return, by light on the chart, the mean ΔE2000 of cameras [M, 81, 3] in it and in the others, and the worst camera's."""
-    scaled = np.stack([anchored(one, EYES) for one in cameras])
+    """Print and return, by light on the chart, the mean ΔE2000 of cameras [M, 81, 3] in it and in the others, and the worst camera's.
+
+    `known` [K, 81, 3] are all cameras that there are; of them the model is made, without the one that is looked through.
+    """
     found: dict[str, Any] = {}
     for name in names:
         of_cameras: dict[str, list[float]] = {way: [] for way in WAYS}
-        for number, sensitivities in enumerate(cameras):
-            left = np.delete(scaled, number, axis=0)
-            for way, matrix in matrices(sensitivities, left, reflectances, reference, name).items():
+        for sensitivities in cameras:
+            others = np.stack([anchored(one, EYES) for one in known if not np.array_equal(one, sensitivities)])
+            for way, matrix in matrices(sensitivities, others, reflectances, reference, name).items():
                 errors = [difference(matrix, sensitivities, lights(one)) for one in (name, *OTHERS)]
                 of_cameras[way].append(float(np.mean(errors)))
         worse = np.mean(np.array(of_cameras["estimated"]) > np.array(of_cameras["chart"]))
