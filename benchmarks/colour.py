@@ -10,7 +10,7 @@ left is the camera's and the fit's alone. 380–780 nm by 5 nm, CIE 1931 2°.
 2. **Lamp**: relative error of the colour temperature (Ohno 2013) of the light on the chart after an ideal D65 lamp in the
    same light was balanced: by the chart's matrix and each adaptation, and by the sensitivities with the lamp first.
 3. **Fall-off**: the same in CAT16 where the light falls by 20 % from one side of the chart to the other, and the fit knows of it or not.
-3. **Elsewhere** (`estimated_cameras`): the colours of other things, in the chart's light and in others, by the chart's matrix, by sensitivities
+4. **Elsewhere** (`estimated_cameras`): the colours of other things, in the chart's light and in others, by the chart's matrix, by sensitivities
    estimated from chart and lamp, and by measured ones.
 """
 
