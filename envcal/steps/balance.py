@@ -28,7 +28,7 @@ CAMERA_RGB_BALANCE = "camera RGB"
 ESTIMATED = "estimated"
 _CHART_ALONE = (
     "nothing is known of the camera's sensitivities that explains the chart, so colours come from the chart's own matrix: they are "
-    "right in the light on the chart, and in others off by ΔE 4 and more. Give the sensitivities (`balance.camera`)."
+    "right in the light on the chart, and in others off by ΔE 3 to 5. Give the sensitivities (`balance.camera`)."
 )
 
 
