@@ -6,11 +6,14 @@ from typing import Final
 import numpy as np
 
 from calibrate.lamp.candidate import Candidate
+from calibrate.lamp.expected import ExpectedForm
 from calibrate.lamp.reading import MOST_CLIPPED, Lamp, Points
 
 # From these odds on, against every other candidate and none together, a lamp is taken without a word. In 346 synthetic scenes, a third
 # of them without a lamp, no wrong thing had better ones than 230.
 SURE_ODDS: Final = 500.0
+# Where the camera is not known, daylight in windows and on screens has the colour as often as not.
+SURE_ODDS_OF_UNKNOWN_CAMERA: Final = 10 * SURE_ODDS
 # Thinner than this, in pixels, blur and demosaicing reach the middle.
 _THIN_PX: Final = 6.5
 # A candidate of this share of the best one's odds is told of.
@@ -33,11 +36,16 @@ class Thing:
         return f"({x:.0f}, {y:.0f})"
 
 
-def doubts_of_identity(things: list[Thing], total: float, *, misplaced: bool, offset: Points) -> tuple[str, ...]:
-    """Return what speaks against the thing taken: that it may be none, or another one, or one that is clipped."""
+def doubts_of_identity(
+    things: list[Thing], total: float, *, sure_odds: float, misplaced: bool, form: ExpectedForm, offset: Points
+) -> tuple[str, ...]:
+    """Return what speaks against the thing taken: that it may be none, or another one, or one that is clipped.
+
+    `total` is the odds of all things and of none together; `misplaced`: the lamp's colour had to be left out of account.
+    """
     best = things[0]
     against = (total - best.odds) / best.odds
-    if not misplaced and against * SURE_ODDS <= 1:
+    if not misplaced and against * sure_odds <= 1:
         return ()
     remedy = "Look at the report; if it is something else, set `balance.lamp` to a rectangle inside the module."
     warnings: tuple[str, ...] = ()
@@ -60,11 +68,15 @@ def doubts_of_identity(things: list[Thing], total: float, *, misplaced: bool, of
     why = (
         "its colour is not where the camera's own matrix puts D65"
         if misplaced
-        else (f"the odds for it are {1 / against:.2g} to 1 and {SURE_ODDS:.0f} to 1 is sure")
+        else f"the odds for it are {1 / against:.2g} to 1 and {sure_odds:.0f} to 1 is sure"
+    )
+    stating = (
+        " Its size and place (`balance.lamp: {size: …, within: …}`), if you state them, sharpen the odds."
+        if form.size is None or form.within is None
+        else ""
     )
     return (
-        f"balance.lamp: what was taken, at {best.place(offset)}, may not be the lamp: {why}. {remedy} Its size and place "
-        "(`balance.lamp: {size: …, within: …}`), if you state them, sharpen the odds.",
+        f"balance.lamp: what was taken, at {best.place(offset)}, may not be the lamp: {why}. {remedy}{stating}",
         *warnings[:1],
     )
 

@@ -8,7 +8,13 @@ import numpy.typing as npt
 
 from calibrate import CalibrateError
 from calibrate.lamp.candidate import Candidate
-from calibrate.lamp.doubts import Thing, doubts_of_edges, doubts_of_identity
+from calibrate.lamp.doubts import (
+    SURE_ODDS,
+    SURE_ODDS_OF_UNKNOWN_CAMERA,
+    Thing,
+    doubts_of_edges,
+    doubts_of_identity,
+)
 from calibrate.lamp.evidence import log_odds
 from calibrate.lamp.expected import ExpectedColour, ExpectedForm
 from calibrate.lamp.reading import MOST_CLIPPED, MOST_REFLECTED, Image, Lamp, Mask, Points, read_region
@@ -109,9 +115,10 @@ def choose_lamp(view: View, *, expected: ExpectedColour | None = None, form: Exp
         score=best.odds / total,
         runner_up=things[1].odds / total if len(things) > 1 else 0.0,
     )
+    sure_odds = SURE_ODDS_OF_UNKNOWN_CAMERA if expected is None else SURE_ODDS
     doubts = (
         *doubts_of_edges(lamp),
-        *doubts_of_identity(things, total, misplaced=misplaced, offset=offset),
+        *doubts_of_identity(things, total, sure_odds=sure_odds, misplaced=misplaced, form=known, offset=offset),
         *doubts_of_mixing(lamp, view.xyz_from_rgb, expected),
     )
     return replace(lamp, warnings=(*lamp.warnings, *doubts))
