@@ -68,7 +68,7 @@ def doubts_of_identity(
     why = (
         "its colour is not where the camera's own matrix puts D65"
         if misplaced
-        else f"the odds for it are {1 / against:.2g} to 1 and {sure_odds:.0f} to 1 is sure"
+        else f"the odds for it are {1 / against:.3g} to 1 and {sure_odds:.0f} to 1 is sure"
     )
     stating = (
         " Its size and place (`balance.lamp: {size: …, within: …}`), if you state them, sharpen the odds."
