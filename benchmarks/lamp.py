@@ -29,13 +29,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.lamp_scenes import CHART_MM, Calibrated, LampScene, calibrated, lamp_form, lamp_scene
 from calibrate import CalibrateError
 
 if TYPE_CHECKING:
     from calibrate.lamp import ExpectedColour, ExpectedForm
+    from calibrate.lamp.finding import View
 
 LARGEST_ERROR = 0.01
 #: What a warning says that doubts which object it is.
@@ -50,9 +50,6 @@ FIRST_SEED = 2000
 DECLARED = ("nothing", "form", "all")
 #: How well the settings are taken to know the camera RGB of D65, and of a lamp with its own spectrum: relative, per channel.
 MATRIX_SPREAD, OWN_SPREAD = 0.03, 0.015
-
-Float64 = npt.NDArray[np.float64]
-Known = tuple["ExpectedColour | None", "ExpectedForm | None"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +72,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--unknown-camera", action="store_true", help="no matrix of the camera is known")
     parser.add_argument("--json", type=Path, help="write the figures there")
     given = parser.parse_args(arguments)
+    from calibrate.lamp.finding import look_around
     from uplift.spectrum import rgb_space
 
     xyz_from_rgb = rgb_space("ITU-R BT.2020").xyz_from_rgb
@@ -87,14 +85,19 @@ def main(arguments: list[str] | None = None) -> int:
                 made = calibrated(scene, seed=seed, xyz_from_rgb=xyz_from_rgb)
             except CalibrateError:
                 made = None
+            start = time.process_time()
+            view = (
+                None if made is None else look_around(made.image, chart_corners=made.corners, xyz_from_rgb=xyz_from_rgb)
+            )
+            looked = time.process_time() - start
             for declared, tally in tallies.items():
-                if made is None:
+                if made is None or view is None:
                     tally.add(group, Verdict("no chart", float("nan"), "", 0.0), 0.0)
                     continue
-                known = known_of(scene, made, declared, seed=seed)
+                colour, form = known_of(scene, made, declared, seed=seed)
                 start = time.process_time()
-                found = look(scene, made, xyz_from_rgb, known=(None, known[1]) if given.unknown_camera else known)
-                tally.add(group, found, time.process_time() - start)
+                found = look(scene, made, view, colour=None if given.unknown_camera else colour, form=form)
+                tally.add(group, found, looked + time.process_time() - start)
                 if "unwarned" in found.what or (group == "readable" and not found.what.startswith("found")):
                     print(f"  {declared}: {found.what}: {group} {seed} ({scene.what}): {found.said[:150]}", flush=True)
     for declared, tally in tallies.items():
@@ -106,7 +109,9 @@ def main(arguments: list[str] | None = None) -> int:
     return 1 if any(tally.unwarned() for tally in tallies.values()) else 0
 
 
-def known_of(scene: LampScene, made: Calibrated, declared: str, *, seed: int) -> Known:
+def known_of(
+    scene: LampScene, made: Calibrated, declared: str, *, seed: int
+) -> tuple[ExpectedColour, ExpectedForm | None]:
     """What the settings would say of a scene's camera and lamp; where there is none, of one that might have stood there."""
     from calibrate.lamp import ExpectedColour, ExpectedForm
 
@@ -128,14 +133,15 @@ def known_of(scene: LampScene, made: Calibrated, declared: str, *, seed: int) ->
     return ExpectedColour(own * np.exp(rng.normal(0, OWN_SPREAD, 3)), made.matrix, OWN_SPREAD, own_spectrum=True), form
 
 
-def look(scene: LampScene, made: Calibrated, xyz_from_rgb: Float64, *, known: Known = (None, None)) -> Verdict:
-    """Search the lamp of a calibrated scene, with what is known of its colour and form."""
-    from calibrate.lamp import find_lamp
+def look(
+    scene: LampScene, made: Calibrated, view: View, *, colour: ExpectedColour | None, form: ExpectedForm | None
+) -> Verdict:
+    """Choose the lamp of a calibrated scene among what stands out in its view, with what is known of its colour and form."""
     from calibrate.lamp.curve import uv_from_xyz
+    from calibrate.lamp.finding import choose_lamp
 
-    colour, form = known
     try:
-        lamp = find_lamp(made.image, chart_corners=made.corners, xyz_from_rgb=xyz_from_rgb, expected=colour, form=form)
+        lamp = choose_lamp(view, expected=colour, form=form)
     except CalibrateError as refusal:
         return Verdict("refused", float("nan"), str(refusal), 0.0)
     said = " / ".join(lamp.warnings)
@@ -145,8 +151,8 @@ def look(scene: LampScene, made: Calibrated, xyz_from_rgb: Float64, *, known: Kn
         warned = any(doubt in said for doubt in DOUBTS)
         what = f"wrong object, {'warned' if warned else 'unwarned'}"
         return Verdict(what, float("nan"), said or f"at ({x}, {y})", lamp.score)
-    true = uv_from_xyz(xyz_from_rgb @ made.matrix @ scene.camera_lamp)
-    error = float(np.hypot(*(uv_from_xyz(xyz_from_rgb @ lamp.rgb) - true)))
+    true = uv_from_xyz(view.xyz_from_rgb @ made.matrix @ scene.camera_lamp)
+    error = float(np.hypot(*(uv_from_xyz(view.xyz_from_rgb @ lamp.rgb) - true)))
     if error > LARGEST_ERROR:
         what = f"found, misread, {'warned' if said else 'unwarned'}"
         return Verdict(what, error, said or f"off by {error:.3f}", lamp.score)

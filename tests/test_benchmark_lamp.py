@@ -34,19 +34,21 @@ def test_the_cameras_see_d65_as_the_spectra_say():
 
 @pytest.mark.parametrize(("at", "verdict"), [("lamp", "found"), ("beside", "wrong object")])
 def test_a_region_counts_as_found_only_on_the_lamp(at, verdict, monkeypatch):
-    import calibrate.lamp
+    from calibrate.lamp import finding
 
     place = np.zeros((100, 100), bool)
     place[20:40, 20:40] = True
     scene = types.SimpleNamespace(place=place, camera_lamp=np.ones(3), camera_d65=np.ones(3))
     centre = 30.0 if at == "lamp" else 70.0
     reading = types.SimpleNamespace(polygon=np.full((4, 2), centre), rgb=np.ones(3), warnings=(), score=0.9)
-    monkeypatch.setattr(calibrate.lamp, "find_lamp", lambda *_, **__: reading)
-    made = Calibrated(np.ones((100, 100, 3), np.float32), np.zeros((4, 2)), np.eye(3))
-    assert look(scene, made, XYZ_FROM_RGB).what.startswith(verdict)
+    monkeypatch.setattr(finding, "choose_lamp", lambda *_, **__: reading)
+    image = np.ones((100, 100, 3), np.float32)
+    made = Calibrated(image, np.zeros((4, 2)), np.eye(3))
+    view = finding.View(image, np.zeros((100, 100), bool), 0, XYZ_FROM_RGB, [])
+    assert look(scene, made, view, colour=None, form=None).what.startswith(verdict)
     reading.rgb = np.array([1.0, 1.0, 1.5])
     if at == "lamp":
-        assert look(scene, made, XYZ_FROM_RGB).what == "found, misread, unwarned"
+        assert look(scene, made, view, colour=None, form=None).what == "found, misread, unwarned"
 
 
 def test_more_is_known_the_more_is_declared():

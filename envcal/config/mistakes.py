@@ -111,8 +111,11 @@ def _model_at(model: type[BaseModel], where: Sequence[str | int]) -> type[BaseMo
 
 
 def _known(model: type[BaseModel], where: Sequence[str | int]) -> list[str]:
+    """The settings at a place, of any of the mappings that may stand there."""
+    field = _field(model, where) if where and not isinstance(where[-1], int) else None
     inner = _model_at(model, where)
-    return [] if inner is None else list(inner.model_fields)
+    models = _inner_models(field.annotation) if field is not None else [] if inner is None else [inner]
+    return list(dict.fromkeys(name for one in models for name in one.model_fields))
 
 
 def _field(model: type[BaseModel], where: Sequence[str | int]) -> FieldInfo | None:
@@ -121,6 +124,10 @@ def _field(model: type[BaseModel], where: Sequence[str | int]) -> FieldInfo | No
 
 
 def _inner_model(annotation: Any) -> type[BaseModel] | None:
+    return next(iter(_inner_models(annotation)), None)
+
+
+def _inner_models(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next((m for part in get_args(annotation) if (m := _inner_model(part)) is not None), None)
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _inner_models(part)]

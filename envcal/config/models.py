@@ -13,7 +13,7 @@ WorkingSpace = Literal["ITU-R BT.2020", "sRGB", "P3-D65", "ACEScg", "ACES2065-1"
 Indoor = Literal["auto", "led", "fluorescent", "incandescent"]
 Pixel = tuple[float, float]
 Share = Annotated[float, Field(ge=0, le=1)]
-Positive = Annotated[float, Field(gt=0)]
+ChartWidths = Annotated[float, Field(gt=0, le=10)]
 Frames = str | list[str]
 Level = Annotated[float, Field(gt=0, le=65_535)]
 Seconds = Annotated[float, Field(gt=0, le=100_000)]
@@ -172,9 +172,9 @@ class LampOnChart(Settings):
 class LampForm(Settings):
     """What is known of the lamp that is to be found; it sharpens the search."""
 
-    size: tuple[Positive, Positive] | None = None
+    size: tuple[ChartWidths, ChartWidths] | None = None
     """Its two sides, or twice its diameter, in widths of the chart (of the 6 × 4 patches: 268 mm on the large chart)."""
-    within: Positive | None = None
+    within: ChartWidths | None = None
     """It stands at most so far from the chart, edge to edge, in widths of the chart."""
 
     @model_validator(mode="after")

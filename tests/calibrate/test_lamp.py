@@ -17,6 +17,8 @@ from calibrate.lamp import (
     measure_lamp,
     rectangle_from_chart,
 )
+from calibrate.lamp.doubts import SURE_ODDS, SURE_ODDS_OF_UNKNOWN_CAMERA, Thing, doubts_of_identity
+from calibrate.lamp.finding import look_around
 from calibrate.lamp.reflected import most_reflected
 from tests.calibrate.rendered import emitter_colour, flat_picture, patch_colours
 
@@ -191,6 +193,26 @@ def test_what_is_stated_of_the_lamp_raises_its_odds_until_nothing_need_be_said()
     assert odds[3] > 4 * odds[0]
     assert doubts(sure[0]) and "500 to 1 is sure" in doubts(sure[0])[0] and "size: …, within: …" in doubts(sure[0])[0]
     assert sure[3].warnings == ()
+
+
+def test_what_is_sure_depends_on_the_odds_and_on_what_is_known_of_the_camera():
+    look = look_around(room("A")[0], chart_corners=CORNERS, xyz_from_rgb=XYZ_FROM_RGB).looks[0]
+
+    def said(odds, form=None, sure=SURE_ODDS, *others):
+        things = [Thing(look, odds), *(Thing(look, other) for other in others)]
+        total = 1 + sum(thing.odds for thing in things)
+        return doubts_of_identity(
+            things, total, sure_odds=sure, misplaced=False, form=form or ExpectedForm(), offset=np.zeros(2)
+        )
+
+    assert said(501.0) == ()
+    assert "the odds for it are 490 to 1" in said(490.0)[0] and "if you state them" in said(490.0)[0]
+    assert "if you state them" not in said(490.0, stated())[0]
+    assert (
+        said(501.0, None, SURE_ODDS_OF_UNKNOWN_CAMERA) != () and said(5001.0, None, SURE_ODDS_OF_UNKNOWN_CAMERA) == ()
+    )
+    # Another one nearly as good, however good both are.
+    assert "another region" in said(1e4, None, SURE_ODDS, 5e3)[0]
 
 
 def test_of_two_things_of_one_colour_the_one_of_the_stated_size_and_place_is_taken():

@@ -95,6 +95,9 @@ def test_every_mistake_is_told_at_once_with_its_line(tmp_path):
         ("capture: {reference: f1.dng}\ncluster: {lights: [{at: [0, 0], spd: no.csv}]}\n", "there is no file"),
         ("capture: {reference: f1.dng}\ncluster: {lights: [{at: [0, 0]}]}\n", "says nothing of the light"),
         ("capture: {reference: f1.dng}\ncluster: {lights: [{at: [0, 0], spd: a.csv, cct: 4000}]}\n", "not both"),
+        ("capture: {reference: f1.dng}\nbalance: {lamp: {}}\n", "says nothing of the lamp: give `size` or `within`"),
+        ("capture: {reference: f1.dng}\nbalance: {lamp: {size: [12, 110]}}\n", ":2: balance.lamp.size"),
+        ("capture: {reference: f1.dng}\nbalance: {lamp: {sze: [0.1, 0.2]}}\n", "did you mean `size`?"),
         ("capture: !!python/object/apply:os.system ['true']\n", "capture"),
     ],
 )

@@ -10,10 +10,13 @@ from click.testing import CliRunner
 from envcal import exr, profile
 from envcal.cli import main
 from samples import Camera, CaptureSettings, Module, Pinhole, Room, make_capture, spectra, write_capture
+from uplift.spectrum import rgb_space
 
 SIZE = (320, 240)
 # Merge, demosaic and noise at some hundred pixels of a lamp.
 READING = 0.01
+# u'v' of white in the scene's light: what a matrix fitted under one kind of light errs under another.
+WHITE = 0.01
 
 
 def envcal(*arguments):
@@ -35,7 +38,9 @@ def photograph(folder, name, *, seed, brighter=1.0, **place):
         sub=1,
         name=name,
     )
-    write_capture(folder, make_capture(settings))
+    capture = make_capture(settings)
+    write_capture(folder, capture)
+    return capture
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +89,36 @@ def test_the_commands_one_by_one_give_the_same(folder, tmp_path):
     )
     assert refused.exit_code == 1
     assert "deviation=true" in refused.stderr
+
+
+def uv(xyz):
+    x, y, z = xyz
+    return np.array([4 * x, 9 * y]) / (x + 15 * y + 3 * z)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["search", "pair"])
+def test_beside_a_module_of_its_own_measured_spectrum_white_comes_out_as_the_room_lights_it(folder, way):
+    # A module of 5100 K: taken for D65 it would make the whole room bluish.
+    capture = photograph(folder, "warm", seed=4, module=Module(spectrum="LED-B4"))
+    np.savetxt(folder / "module.csv", np.column_stack([spectra.WAVELENGTHS_NM, spectra.lamp("LED-B4")]), delimiter=",")
+    lamp = "" if way == "pair" else "lamp: {size: [0.056, 0.45], within: 0.2}, "
+    shots = "reference: warm_*.dng" + (", lamp_off: off_*.dng" if way == "pair" else "")
+    true = uv(capture.truth().patch_xyz[18])
+    away = {}
+    for name, spectrum in (("own", "spectrum: module.csv, "), ("d65", "")):
+        (folder / f"{name}.yaml").write_text(
+            f"capture: {{{shots}}}\noutput: {name}_{way}\n"
+            f"balance: {{{lamp}{spectrum}camera: {Camera().sensitivities}}}\ncluster: {{chart_spectrum: off}}\n"
+        )
+        done = envcal("run", folder / f"{name}.yaml", "--until", "balance")
+        assert done.exit_code == 0, done.stderr
+        made = profile.read(folder / f"{name}_{way}" / "balance" / "profile.json")
+        white = np.asarray(made.balance_matrix) @ np.asarray(made.matrix) @ made.chart.patches[18].camera_rgb
+        xyz_from_rgb = rgb_space(made.working_space).xyz_from_rgb
+        away[name] = float(np.hypot(*(uv(xyz_from_rgb @ white) - true)))
+    assert away["own"] < WHITE
+    assert away["d65"] > 2 * away["own"]
 
 
 @pytest.mark.slow
