@@ -3,9 +3,8 @@
 A fit is refused where it does not explain the reading: chi² per degree of freedom above `MOST_CHI2`. Then likely reasons are
 tried one after the other, each as some more freedom in the model, and the most probable of those that explain the reading
 is named. Below that limit two things still betray themselves: a light that changes across the chart, by a misfit that is ordered
-across it, and a camera unlike all others, by a model of cameras that is more probable if it may miss more. If it is hardly more
-probable, the light is that of the model that may miss more, which knows that it is less sure; if it is by far, there is no knowing
-how far off the camera is.
+across it, and a camera unlike all others, by a model of cameras that is more probable if it may miss more: clearly so, and the
+light is refused; less clearly, and it is that of the model that may miss more, and hardly followed.
 """
 
 from __future__ import annotations
@@ -28,8 +27,10 @@ MOST_CHI2 = 1.5
 #: of the colour's slopes to the rest (4 and some 60 degrees of freedom: 5.3 is met once in a thousand), and the least
 #: slope that matters: of a channel against green, from the middle to a rim.
 UNEVEN_F, UNEVEN_LEAST = 5.5, 0.01
-#: Log evidence by which a model that may miss more must be better to call a camera unlike the known ones. Over UNUSUAL_READINGS.
-UNUSUAL_EVIDENCE = 14.0
+#: Log evidence by which a model of cameras that may miss more must explain a reading better to raise a doubt, and to refuse the light. Over
+#: 300 readings of 30 cameras, each left out of the model, 29 cameras stayed below 5.0, and all but one of these, a compact
+#: of 2009 (Canon S90), below 1.6. The thirtieth is a cinema camera (ARRI D21): 2.6 to 12.6.
+DOUBTFUL, UNUSUAL_EVIDENCE = 2.0, 5.5
 #: How far the likely reasons may go: a veil, of the white patch; a second light, of the first at every wavelength, from the
 #: middle of the chart to a rim.
 _MUCH = 0.3
@@ -65,8 +66,11 @@ def refusal(found: Fit, *, others: CameraModel, wide: Fit | None, again: Callabl
 
 
 def believed(usual: Fit, wide: Fit | None) -> Fit:
-    """Return the more probable of the fits of an unknown camera; `usual` if the camera was given or nothing explains the reading."""
-    return wide if wide is not None and usual.chi2 <= MOST_CHI2 and _gain(wide, usual) > 0 else usual
+    """Return which fit of a camera to believe: `wide` where there is doubt that the camera is like the known ones.
+
+    `usual` if the camera was given, or nothing explains the reading.
+    """
+    return wide if wide is not None and usual.chi2 <= MOST_CHI2 and _gain(wide, usual) > DOUBTFUL else usual
 
 
 def _gain(one: Fit, other: Fit) -> float:
