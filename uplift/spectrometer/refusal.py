@@ -19,8 +19,8 @@ from uplift.spectrometer.fit import Fit
 from uplift.spectrometer.posterior import Floats
 from uplift.spectrum import Observer
 
-#: Over 320 lamps unknown to the prior and 10 cameras at 1 % noise the largest was 1.02 with a known camera, over 74 lamps and 11
-#: cameras 1.24 with an unknown one (the errors assumed are larger than those simulated); a veil of 4 % of white gives 5 and more, other
+#: 15 of 3820 readings of 382 lamps unknown to the prior by 10 known cameras at 1 % noise are above it, and of 148 of 74 lamps by
+#: 11 unknown cameras none (the errors assumed are larger than those simulated); a veil of 4 % of white gives 5 and more, other
 #: cameras' sensitivities 0.9 to 18 (median 5).
 MOST_CHI2 = 1.5
 #: Two lights of like colours leave a small chi²; what betrays them is that the misfit is ordered across the chart. F ratio
