@@ -16,6 +16,7 @@ BENCHMARKS = {
     "brightness": "how well pixels relight surfaces, by how bright their reflectance is taken to be",
     "relit_render": "a rendered scene under the true spectra of a room, our uplift and the usual one",
     "render": "the Mitsuba emitter beside Mitsuba's own environment map: time, noise, start-up",
+    "pipeline": "from RAW files to spectra: the whole pipeline on synthetic captures, beside the truth",
     "spectrometer": "spectra and kinds of lamps as the chart measures them",
 }
 

@@ -1,8 +1,8 @@
 """From coefficients to radiance and back to RGB: what a renderer, a file writer or a test needs.
 
 Radiance at λ is scale · E(λ) · S(c0 λ² + c1 λ + c2). The code here shares nothing with the solver in
-`pixels.py`: it reads coefficients for λ in nm, sums XYZ in the grid's order, and goes to RGB last, so that a
-round trip tests both.
+`pixels.py`: it reads coefficients for λ in nm, sums XYZ over the grid, and goes to RGB last, so that a round trip tests
+both.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from numba import njit, prange
 from uplift import UpliftError
 from uplift.spectrum import Float64, Observer, RGBSpace
 from uplift.spectrum import observer as default_observer
+
+_RUN = 1024  # pixels that a thread takes at a time
 
 
 def spectra_of(
@@ -69,7 +71,7 @@ def rgb_of(
     lights = np.asarray(emissions, dtype=np.float64)
     shape, flat = _flat("rgb_of", coefficients, scale, emission_index, lights, observer.wavelengths_nm.size)
     out = np.empty((flat[1].size, 3))
-    responses = lights[:, :, None] * observer.cmfs * observer.step_nm
+    responses = lights[:, None, :] * observer.cmfs.T * observer.step_nm
     grid = observer.wavelengths_nm.copy()
     _sum(*flat, np.ascontiguousarray(responses), grid, grid[[0, -1]], space.rgb_from_xyz.copy(), out)
     return out.reshape((*shape, 3))
@@ -114,7 +116,7 @@ def _flat(
 def _sigmoid(x):  # type: ignore[no-untyped-def]
     """Return S(x) with full relative precision where it is small, and its limits at ±∞."""
     root = np.sqrt(1.0 + x * x)
-    dark = 0.5 / root / (root + abs(x))
+    dark = 0.5 / (root * (root + abs(x)))
     return dark if x < 0.0 else 1.0 - dark
 
 
@@ -156,17 +158,28 @@ def _radiance(coefficients, scale, index, sampled, wavelengths, ends, out):  # t
             out[p, i] = scale[p] * sampled[index[p], i] * _sigmoid(x)
 
 
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def _tristimulus(response, reflectance):  # type: ignore[no-untyped-def]
+    """Return the sums of the rows of `response` [3, N] times `reflectance` [N], in whatever order is fastest."""
+    X = Y = Z = 0.0
+    for i in range(reflectance.size):
+        X += response[0, i] * reflectance[i]
+        Y += response[1, i] * reflectance[i]
+        Z += response[2, i] * reflectance[i]
+    return X, Y, Z
+
+
 @njit(cache=True, error_model="numpy", parallel=True)
 def _sum(coefficients, scale, index, responses, wavelengths, ends, rgb_from_xyz, out):  # type: ignore[no-untyped-def]
-    for p in prange(scale.size):
-        middle, c0, c1, c2 = _summit(coefficients[p, 0], coefficients[p, 1], coefficients[p, 2], ends)
-        X = Y = Z = 0.0
-        for i in range(wavelengths.size):
-            d = wavelengths[i] - middle
-            s = _sigmoid((c0 * d + c1) * d + c2)
-            X += responses[index[p], i, 0] * s
-            Y += responses[index[p], i, 1] * s
-            Z += responses[index[p], i, 2] * s
-        for channel in range(3):
-            row = rgb_from_xyz[channel]
-            out[p, channel] = scale[p] * (row[0] * X + row[1] * Y + row[2] * Z)
+    for run in prange((scale.size + _RUN - 1) // _RUN):
+        # Wavelengths do not depend on one another until they are summed: roots and quotients are taken several at a time.
+        reflectance = np.empty(wavelengths.size)
+        for p in range(run * _RUN, min(scale.size, (run + 1) * _RUN)):
+            middle, c0, c1, c2 = _summit(coefficients[p, 0], coefficients[p, 1], coefficients[p, 2], ends)
+            for i in range(wavelengths.size):
+                d = wavelengths[i] - middle
+                reflectance[i] = _sigmoid((c0 * d + c1) * d + c2)
+            X, Y, Z = _tristimulus(responses[index[p]], reflectance)
+            for channel in range(3):
+                row = rgb_from_xyz[channel]
+                out[p, channel] = scale[p] * (row[0] * X + row[1] * Y + row[2] * Z)

@@ -87,17 +87,6 @@ def cluster(
         sky=sky.present,
         lights=[record(light) for light in emitting],
     )
-    measured = [light.spd for light in declared if light.spd is not None]
-    measured += [] if settings.library is None else in_library(settings.library)
-    measured += [] if settings.sky_model is None else [settings.sky_model]
-    attributes = {
-        **provenance.attributes(
-            "cluster", settings=_told(settings, declared), inputs=[source.path, *measured], unit=source.unit
-        ),
-        **provenance.colour_space(source.space),
-        "envmap": True,
-        "envcalLights": lights.model_dump(mode="json"),
-    }
     planes = {
         **exr.rgb_planes(image),
         "cluster": clusters.labels,
@@ -105,13 +94,29 @@ def cluster(
         "weight": clusters.weight,
         "sky": sky.mask.astype(np.uint32),
     }
-    exr.write(out, planes, attributes=attributes)
+    exr.write(out, planes, attributes=_attributes(source, settings, declared, lights))
     atomic.write_json(lights_out, lights.model_dump(mode="json"))
     figures = {"space": source.space, "space_said_by": source.said_by, **lights_figures(lights)}
     lost = lost_told(source) if tell_lost or source.photographed else None
     told = [] if lost is None else [lost]
     warnings = [*found.warnings, *chart_warnings, *told, *doubts(image, clusters.labels, lights.lights, declared)]
     return Outcome(summary(lights.lights), figures, warnings)
+
+
+def _attributes(
+    source: Map, settings: ClusterSettings, declared: Sequence[DeclaredLight], lights: Lights
+) -> dict[str, Any]:
+    """What the header says: where the file is from, spectra of the user's own among it, and the lights."""
+    measured = [light.spd for light in declared if light.spd is not None]
+    measured += [] if settings.library is None else in_library(settings.library)
+    measured += [] if settings.sky_model is None else [settings.sky_model]
+    inputs = [source.path, *measured]
+    return {
+        **provenance.attributes("cluster", settings=_told(settings, declared), inputs=inputs, unit=source.unit),
+        **provenance.colour_space(source.space),
+        "envmap": True,
+        "envcalLights": lights.model_dump(mode="json"),
+    }
 
 
 def lights_figures(lights: Lights) -> dict[str, Any]:

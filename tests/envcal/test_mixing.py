@@ -45,16 +45,24 @@ def uplifted(folder, **settings):
 
 
 def test_a_grey_wall_under_two_lamps_has_the_spectrum_of_both(folder):
-    about, spectra = uplifted(folder, mixtures=True)
+    about, spectra = uplifted(folder)
     assert [cluster.type for cluster in about.clusters][2:5] == ["mixture"] * 3
     assert "50% of the light of cluster 0" in about.clusters[3].source
     true = 0.4 * 0.5 * (illuminant("FL11", EYES) + illuminant("LED-B3", EYES))
     np.testing.assert_allclose(spectra[4, 3], true, rtol=FLOAT32, atol=FLOAT32 * true.max())
-    alone = uplifted(folder)[1]
+    alone = uplifted(folder, mixtures=False)[1]
     assert np.abs(alone[4, 3] - true).max() > 0.1 * true.max()
 
 
-def test_without_the_setting_nothing_is_added(folder):
+def test_where_they_are_not_wanted_nothing_is_added(folder):
+    about, _ = uplifted(folder, mixtures=False)
+    assert "mixture" not in {cluster.type for cluster in about.clusters}
+
+
+def test_clusters_that_name_one_light_a_pixel_are_taken_as_they_are(folder):
+    header, planes = exr.read(folder / "clusters.exr", ["R", "G", "B", "cluster", "sky"])
+    attributes = {**ATTRIBUTES, "envcalLights": header.json("envcalLights")}
+    exr.write(folder / "clusters.exr", planes, attributes=attributes)
     about, _ = uplifted(folder)
     assert "mixture" not in {cluster.type for cluster in about.clusters}
 
@@ -65,4 +73,4 @@ def test_a_second_light_that_the_file_does_not_hold_is_refused(folder):
     attributes = {**ATTRIBUTES, "envcalLights": header.json("envcalLights")}
     exr.write(folder / "clusters.exr", planes, attributes=attributes)
     with pytest.raises(EnvcalError, match="names cluster 7, but has 2 lights"):
-        uplifted(folder, mixtures=True)
+        uplifted(folder)

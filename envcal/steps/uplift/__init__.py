@@ -46,7 +46,9 @@ def uplift(
     _check_same_map(source, clusters, lights)
     seen = observer(*parse_wavelengths(lights.wavelengths), name=lights.observer)
     space = rgb_space(source.space, observer=seen)
-    emitting, mixtures = with_mixtures(lights, settings, seen)
+    # A file of another maker may name one light a pixel only.
+    both = {"second", "weight"} <= set(exr.header(clusters).channels)
+    emitting, mixtures = with_mixtures(lights, settings, seen) if both else (lights, None)
     method = method_of(settings, emitting, seen, space)
     needed = ["cluster"] if mixtures is None else ["cluster", "second", "weight"]
     attributes = {

@@ -24,8 +24,8 @@ Planes = dict[str, npt.NDArray[Any]]
 _BASELINE = "The method is there for comparison; `constrained` keeps their colours where any light can show them."
 
 
-class Solution(Protocol):
-    """The spectra of a tile, good until the next tile is solved."""
+class Found(Protocol):
+    """What every uplift tells of its pixels."""
 
     @property
     def status(self) -> npt.NDArray[np.uint8]:
@@ -38,6 +38,14 @@ class Solution(Protocol):
     @property
     def counts(self) -> Mapping[Status, int]:
         """Pixels by status."""
+
+
+class Solution(Protocol):
+    """The spectra of a tile, good until the next tile is solved."""
+
+    @property
+    def found(self) -> Found:
+        """What became of each pixel."""
 
     @property
     def visited(self) -> int:
@@ -81,30 +89,18 @@ class _Coefficients:
     def visited(self) -> int:
         return 0
 
-    @property
-    def status(self) -> npt.NDArray[np.uint8]:
-        return self.found.status
-
-    @property
-    def scale(self) -> npt.NDArray[np.float64]:
-        return self.found.scale
-
-    @property
-    def counts(self) -> Mapping[Status, int]:
-        return self.found.counts
-
     def planes(self) -> Planes:
         planes: Planes = {f"c{k}": self.written[..., k] for k in range(3)}
         return planes | {
-            "scale": self.scale.astype(np.float32),
+            "scale": self.found.scale.astype(np.float32),
             "cluster": self.found.emission,
-            "status": self.status,
+            "status": self.found.status,
         }
 
     def rgb(self, chosen: npt.NDArray[np.bool_], *, stored: bool) -> npt.NDArray[np.float64]:
         from uplift.radiance import rgb_of
 
-        coefficients, scale = self.found.coefficients[chosen], self.scale[chosen]
+        coefficients, scale = self.found.coefficients[chosen], self.found.scale[chosen]
         if stored:
             coefficients, scale = self.written[chosen].astype(np.float64), _as_stored(scale)
         emission, emissions = self.found.emission[chosen], self.found.emissions
@@ -117,39 +113,27 @@ class _Mixtures:
     cube: Cube
 
     @property
-    def status(self) -> npt.NDArray[np.uint8]:
-        return self.found.status
-
-    @property
-    def scale(self) -> npt.NDArray[np.float64]:
-        return self.found.scale
-
-    @property
-    def counts(self) -> Mapping[Status, int]:
-        return self.found.counts
-
-    @property
     def visited(self) -> int:
         return int(self.found.visited.sum())
 
     def planes(self) -> Planes:
         """A pixel without radiance lies in the cell around the cube's centre, none of whose nodes is empty."""
-        dark = self.scale == 0
+        dark = self.found.scale == 0
         side = len(self.cube.filled) - 1
         centre = ((side // 2) * side + side // 2) * side + side // 2
         position = np.where(dark[..., np.newaxis], 0.0, self.found.position).astype(np.float32)
         planes: Planes = {name: position[..., k] for k, name in enumerate("uvw")}
         return planes | {
             "cell": np.where(dark, centre, self.found.cell).astype(np.uint32),
-            "scale": self.scale.astype(np.float32),
+            "scale": self.found.scale.astype(np.float32),
             "cluster": self.found.emission,
-            "status": self.status,
+            "status": self.found.status,
         }
 
     def rgb(self, chosen: npt.NDArray[np.bool_], *, stored: bool) -> npt.NDArray[np.float64]:
         from uplift.lattice import rgb_of_lattice
 
-        position, scale = self.found.position[chosen], self.scale[chosen]
+        position, scale = self.found.position[chosen], self.found.scale[chosen]
         if stored:
             position, scale = _as_stored(position), _as_stored(scale)
         cell, emission = self.found.cell[chosen], self.found.emission[chosen]

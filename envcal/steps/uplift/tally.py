@@ -69,23 +69,24 @@ class Tally:
         from uplift.difference import delta_e_2000
         from uplift.pixels import Status
 
+        found = solved.found
         rows = self._row + np.arange(len(rgb))
         for status, places in self._first.items():
-            if solved.counts[status] and len(places) < NAMED:
-                found = np.argwhere(solved.status == status)[: NAMED - len(places)]
-                places += [(self._row + int(row), int(column)) for row, column in found]
+            if found.counts[status] and len(places) < NAMED:
+                more = np.argwhere(found.status == status)[: NAMED - len(places)]
+                places += [(self._row + int(row), int(column)) for row, column in more]
         self._row += len(rgb)
         solid_angle = np.sin(np.pi * (rows + 0.5) / self._height)
-        for status, count in solved.counts.items():
+        for status, count in found.counts.items():
             self._counts[status] += count
             if count:
-                self._weights[status] += float((solved.status == status).sum(axis=1) @ solid_angle)
+                self._weights[status] += float((found.status == status).sum(axis=1) @ solid_angle)
         self._visited += solved.visited
-        self._darkened += int(((solved.status == Status.CLOSEST) & (solved.scale == 0)).sum())
+        self._darkened += int(((found.status == Status.CLOSEST) & (found.scale == 0)).sum())
         for status, differences in self._differences.items():
-            if not solved.counts[status]:
+            if not found.counts[status]:
                 continue
-            chosen = solved.status == status
+            chosen = found.status == status
             asked = rgb[chosen].astype(np.float64)
             if status == Status.CLOSEST:
                 self._negative += int((asked < 0).any(axis=-1).sum())
