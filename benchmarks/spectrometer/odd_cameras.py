@@ -20,7 +20,7 @@ from benchmarks.spectrometer.relight import SPACE
 from uplift.spectrometer import anchored, measure_light
 
 NM = EYES.wavelengths_nm
-FIRST, EVERY = 2, 12
+FIRST, EVERY = 2, 16
 
 
 def _shifted(by_nm: float) -> Callable[[Float64], Float64]:

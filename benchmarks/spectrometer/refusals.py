@@ -18,7 +18,7 @@ LAMPS = ("LED-B3", "FL2", "A", "D50")
 NM = EYES.wavelengths_nm
 VEIL = 0.05  # of the white patch
 SHARES = (0.3, 0.7)  # of the second light, at the sides of the chart
-NARROW_NM, SHIFT_NM = 25.0, 20.0
+NARROW_NM, SHIFT_NM = 15.0, 20.0
 _NOT_THIS_CHART = "none of the usual reasons"
 _CAMERA = ("are those of another camera", "sensitivities are unlike those")  # where they were given, and not
 #: Case → what the text must say.

@@ -239,16 +239,16 @@ def test_a_camera_that_is_hardly_unlike_the_others_is_read_but_believed_less():
     like, hardly = (measure_light(read(light, curves=moved(by)), camera=None, observer=EYES) for by in (6.0, 10.0))
     assert like.refused == hardly.refused == ""
     assert hardly.camera_loss > 2 * like.camera_loss
-    assert hardly.trusted < like.trusted <= MOST_UNKNOWN
+    assert hardly.trusted <= HARDLY < like.trusted <= MOST_UNKNOWN
 
 
-def test_the_more_probable_fit_is_believed_unless_nothing_explains_the_reading():
+def test_the_wider_fit_is_believed_where_it_is_clearly_the_more_probable_one_and_the_usual_one_explains_the_reading():
     def a_fit(chi2, evidence):
         return SimpleNamespace(chi2=chi2, posterior=SimpleNamespace(log_evidence=evidence))
 
-    usual, better, worse, bad = a_fit(1.0, 5.0), a_fit(0.5, 6.0), a_fit(0.5, 4.0), a_fit(9.0, 5.0)
+    usual, better, hardly_better, bad = a_fit(1.0, 5.0), a_fit(0.5, 8.0), a_fit(0.5, 6.0), a_fit(9.0, 5.0)
     assert believed(usual, better) is better
-    assert believed(usual, worse) is usual
+    assert believed(usual, hardly_better) is usual
     assert believed(usual, None) is usual
     assert believed(bad, better) is bad
 

@@ -1,7 +1,7 @@
 """From a chart's raw values to the spectrum of the light on it, with what can be said against it.
 
 A spectrum that is not sure is followed only in part (`safety`), and what no single light explains is refused (`refusal`). An unknown
-camera is fitted twice, the second time with more freedom, and the more probable fit is believed.
+camera is fitted twice, the second time with more freedom; where that explains the reading better, the first is not believed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from uplift.spectrometer.lamps import FAMILIES
 from uplift.spectrometer.posterior import Floats, posterior
 from uplift.spectrometer.prior import Prior, prior_of
 from uplift.spectrometer.refusal import believed, refusal
-from uplift.spectrometer.safety import MOST_UNKNOWN, trusted
+from uplift.spectrometer.safety import HARDLY, MOST_UNKNOWN, trusted
 from uplift.spectrum import Observer, normalised, xyz_of
 
 _BASE = "BabelColor Average"
@@ -130,7 +130,8 @@ def measure_light(
     emission = normalised(light, observer)
     spread = found.posterior.covariance * unit**2
     cct, duv, cct_sigma, duv_sigma = _colour(emission, spread, observer)
-    used, share = trusted(emission, spread, surfaces, observer, most=MOST_UNKNOWN if unknown else 1.0)
+    most = 1.0 if not unknown else MOST_UNKNOWN if found is usual else HARDLY
+    used, share = trusted(emission, spread, surfaces, observer, most=most)
     return MeasuredLight(
         emission=used,
         measured=emission,

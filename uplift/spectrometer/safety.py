@@ -29,7 +29,8 @@ from uplift.spectrum import Observer, illuminant, xyz_of
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 #: Loss over that of D65 which is small enough, in this quantile of this many draws from a posterior so much wider.
 ENOUGH, QUANTILE, DRAWS, WIDER = 0.8, 0.9, 40, 2.0
-#: Loss over that of D65 from which on a spectrum suits the uplift badly though it be right, and the largest share of such a one.
+#: Loss over that of D65 from which on a spectrum suits the uplift badly though it be right, and the largest share of such a one (and
+#: of one that was read by a camera of which it is doubtful that it is like the known ones).
 BADLY, HARDLY = 0.65, 0.25
 #: The largest share with an unknown camera.
 MOST_UNKNOWN = 0.85
