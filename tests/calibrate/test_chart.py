@@ -9,6 +9,7 @@ from calibrate.chart import chart_from_corners, chart_reference, find_chart, mea
 from calibrate.chart.gaps import between_gaps
 from calibrate.chart.geometry import CLASSIC, box_corners, patch_quads, signed_area
 from calibrate.chart.homographies import agreed_homographies
+from calibrate.chart.judge import covered
 from calibrate.chart.sheets import sheets
 from calibrate.chart.views import view_at
 from calibrate.correct import fit_matrix
@@ -261,6 +262,27 @@ def test_a_chart_that_is_cut_off_by_the_border_is_refused_in_clutter_too():
     scene = scene_without_chart(25)
     assert scene.what == "partial charts"
     with pytest.raises(CalibrateError, match=r"correct\.chart"):
+        find_chart(scene.image)
+
+
+@pytest.mark.parametrize("light", ["A", "D65", "FL2", "LED-B3"])
+def test_neighbours_that_read_the_same_are_covered_and_those_of_a_whole_chart_do_not(light):
+    patches = patch_colours(light)
+    assert covered(patches, chart_reference()) <= 2
+    hidden = patches.copy()
+    hidden[18:] = [0.2, 0.3, 0.1]
+    assert covered(hidden, chart_reference()) == 6
+    hidden[20] = np.nan  # parts the row in two
+    assert covered(hidden, chart_reference()) == 3
+
+
+@pytest.mark.slow
+def test_a_chart_that_is_partly_covered_is_called_that():
+    from benchmarks.chart_scenes import scene_without_chart
+
+    scene = scene_without_chart(30166)
+    assert scene.what == "covered charts"
+    with pytest.raises(CalibrateError, match=r"6 neighbouring patches.*read the same: something covers them"):
         find_chart(scene.image)
 
 
