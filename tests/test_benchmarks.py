@@ -149,8 +149,11 @@ def test_the_lights_benchmark_knows_the_truth_of_its_rooms():
 def test_the_chart_benchmark_counts_what_is_found_and_what_is_not_there(capsys, tmp_path, monkeypatch):
     monkeypatch.delenv("ENVCAL_DATA", raising=False)
     arguments = ["chart", "--first", "5", "--with", "1", "--without", "1", "--maps", "0", "--json", f"{tmp_path}/f"]
+    arguments += ["--sg", "0", "--passports", "0", "--two", "0"]
     assert program.main(arguments) == 0
     shown = capsys.readouterr().out
-    assert "pictures with a chart: 1 of 1 found" in shown and "0 false charts in 1" in shown and "skipped" in shown
+    assert "pictures: 1 of 1 (100.0%) found" in shown and "without: 1 of 1 (100.0%) without a false" in shown
+    assert "skipped" in shown
     figures = json.loads((tmp_path / "f").read_text())
-    assert figures["pictures"]["found"] == 1 and figures["without"]["false"] == {}
+    assert figures["pictures"]["good"] == figures["without"]["good"] == 1
+    assert figures["pictures"]["missed"] == figures["without"]["missed"] == []
