@@ -4,7 +4,8 @@
 
 Each room is photographed as seven RAW frames with a chart and a D65 module in view, under two lamps whose spectra are published
 measurements or CIE tables, by one of the two cameras whose sensitivities colour-science has. `envcal`'s own pipeline runs on the
-files, with three kinds of knowledge. What it makes is judged by spectra that no code of the pipeline has seen:
+files: with nothing said, with the camera's sensitivities, with the kinds of both lamps declared, with their spectra, and with these but one light a
+pixel (`uplift.mixtures: false`). What it makes is judged by spectra that no code of the pipeline has seen:
 
 - *map*: mean ΔE2000 between the calibrated map and the XYZ of the place, a white diffuser at the chart being white;
 - *relight*: mean ΔE2000 of 33 measured reflectances lit by each pixel's spectrum and by the true one, so all errors together: noise,
@@ -63,7 +64,7 @@ CASES = (
     Case("LED-V2", "LED-V2", ("led", "led"), NIKON),
 )
 #: What is told of the lights and of the camera, the less first.
-WAYS = ("nothing", "camera", "declared", "spectra", "mixtures")
+WAYS = ("nothing", "camera", "declared", "spectra", "unmixed")
 PIXELS = 4000
 REFLECTANCES = 33
 
@@ -196,7 +197,7 @@ def _yaml(folder: Path, case: Case, way: str, truth: Truth) -> str:
     text += "cluster:\n  chart_spectrum: off\n  lights:\n"
     height, width = truth.labels.shape
     names = (case.panel, case.globe)
-    text = "uplift: {mixtures: true}\n" + text if way == "mixtures" else text
+    text = "uplift: {mixtures: false}\n" + text if way == "unmixed" else text
     for lamp in range(1 if case.panel == case.globe else 2):
         rows, columns = np.nonzero(truth.labels == lamp)
         place = f"at: [{np.median(columns + 0.5) / width:.4f}, {np.median(rows + 0.5) / height:.4f}]"

@@ -27,7 +27,7 @@ def test_the_settings_of_every_way_are_valid_and_tell_what_they_say(way, tmp_pat
     text = bench._yaml(tmp_path, bench.CASES[0], way, SimpleNamespace(labels=labels))
     (tmp_path / "pipeline.yaml").write_text(text, encoding="utf-8")
     loaded = config.load(tmp_path / "pipeline.yaml")
-    declared = {"declared": ["led", "incandescent"], "spectra": [None, None], "mixtures": [None, None]}
+    declared = {"declared": ["led", "incandescent"], "spectra": [None, None], "unmixed": [None, None]}
     assert [light.type for light in loaded.lights] == declared.get(way, [])
     assert all(
         light.at == pytest.approx(at) for light, at in zip(loaded.lights, [(0.25, 0.25), (0.75, 0.55)], strict=False)
