@@ -1,6 +1,7 @@
 """A lamp whose place is given: in pixels of the picture, or as seen from the chart."""
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +11,9 @@ from calibrate.chart.geometry import CLASSIC, image_from_chart, project
 from calibrate.lamp.expected import ExpectedColour
 from calibrate.lamp.reading import Image, Lamp, Mask, Points, Region, read_region
 from calibrate.lamp.reflected import doubts_of_mixing
+
+#: Of the lamp's colour from the one expected; one right lamp in 700 is farther off, if errors are normal.
+_MOST_SIGMAS: Final = 3.6
 
 
 def measure_lamp(
@@ -56,7 +60,26 @@ def measure_lamp(
     inside: Mask = np.asarray((crosses >= -1e-6).all(axis=0) | (crosses <= 1e-6).all(axis=0))
     region = Region(area, inside, (int(low[0]), int(low[1])), 0.0)
     lamp = read_region(image, region, xyz_from_rgb=xyz_from_rgb, clipped=clipped, latlong=latlong)
-    return lamp if alone else replace(lamp, warnings=(*lamp.warnings, *doubts_of_mixing(lamp, xyz_from_rgb, expected)))
+    doubts = _another_colour(lamp, expected)
+    if not alone:
+        doubts += doubts_of_mixing(lamp, xyz_from_rgb, expected)
+    return replace(lamp, warnings=(*lamp.warnings, *doubts))
+
+
+def _another_colour(lamp: Lamp, expected: ExpectedColour | None) -> tuple[str, ...]:
+    """A named area is believed to be the lamp; but not without a word if no D65 lamp looks so."""
+    if expected is None or not (lamp.rgb > 0).any():
+        return ()
+    off = expected.ratios(lamp.rgb)
+    away = float(np.sqrt(off @ np.linalg.solve(expected.covariance(), off)))
+    if away <= _MOST_SIGMAS:
+        return ()
+    red, blue = np.exp(off)
+    return (
+        f"balance.lamp: the area that is named has another colour than the lamp can have in this camera: red over green is "
+        f"{red:.2f} and blue over green {blue:.2f} times what was expected ({away:.0f} standard deviations; up to {_MOST_SIGMAS:g} is usual). If "
+        "it is not the lamp, every colour of the map is wrong: look at the report, correct `balance.lamp`, or set it to `auto`.",
+    )
 
 
 def rectangle_from_chart(rectangle: tuple[float, float, float, float], chart_corners: Points) -> Points:

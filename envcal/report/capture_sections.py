@@ -108,6 +108,7 @@ def lamp(output: Path, calibration: profile.Profile) -> dict[str, Any] | None:
         "balanced": [float(v) for v in np.asarray(calibration.balance_matrix) @ rgb],
         "ratios": [float(v) for v in rgb / rgb[1]],
         "matrix": calibration.balance_matrix,
+        "unlikely": None if calibration.light is None else calibration.light.camera_unlikely,
         "crop": None,
     }
     reference = output / "correct" / "reference.exr"

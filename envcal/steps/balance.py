@@ -176,6 +176,7 @@ def balance(
         "lamp_pixels": profile.lamp.pixels,
         "cone_gains": list(profile.lamp.cone_gains),
         "transform": profile.lamp.transform,
+        "camera": profile.lamp.camera,
         "unit": None if unit is None else unit.model_dump(mode="json"),
         "chart_light": profile.light
         and profile.light.model_dump(exclude={"emission", "sigma", "wavelengths_nm", "measured", "readings", "fitted"}),
@@ -185,6 +186,10 @@ def balance(
     summary = (
         f"lamp of {profile.lamp.pixels} pixels at ({r:.3f}, {g:.3f}, {b:.3f}) → ({now}) in {profile.lamp.transform}"
     )
+    if profile.lamp.camera is not None:
+        summary += ", matrix by sensitivities " + (
+            "estimated from chart and lamp" if profile.lamp.camera == ESTIMATED else f"of {profile.lamp.camera}"
+        )
     if applied is not None:
         summary = f"profile {applied} of {profile.reference_shot} applied; no lamp was looked for"
     return Outcome(summary if unit is None else f"{summary}; {unit.told()}", figures)

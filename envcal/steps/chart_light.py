@@ -27,6 +27,10 @@ _MIX_UV, _MIX_LEAST = 0.006, 0.08
 #: what cameras are like (mean square of standard deviations). 52 cameras, each left out of the model, under three lights: 1.2 and 3.3 at
 #: most; a Foveon sensor, of which the model knows none: 4.9 and 22.
 _MOST_CHI2, _MOST_UNLIKELY = 1.5, 6.0
+_OF_TWO_LIGHTS = (
+    "{name}: its chart measures no spectrum, as several lights reach it{mix}. Colours are calibrated all the same. To have a lamp's spectrum, "
+    "photograph the chart where that lamp is much the brightest, or declare the light."
+)
 _NO_REFLECTANCES = (
     "the light on the chart is not measured: that takes the patches' reflectances, and of a ColorChecker Digital SG only colours are "
     "published. Photograph a Classic or a Passport for it, or give this chart's reflectances as measured in `correct.patches`."
@@ -149,7 +153,7 @@ def given(
     for name, chart in charts.items():
         if chart.refused:
             mix = _mix(name, chart, colours_xyz, observer)
-            warnings += [f"{name}: its chart was refused as several lights reach it{mix}."] if mix else []
+            warnings += [_OF_TWO_LIGHTS.format(name=name, mix=mix)] if mix else []
             continue
         if chart.cct is None or chart.duv is None:
             continue

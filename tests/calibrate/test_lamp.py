@@ -174,6 +174,21 @@ def test_a_known_camera_tells_the_module_from_a_window_of_another_colour():
     assert doubts(find(both))
 
 
+def test_a_named_area_is_believed_but_not_without_a_word_where_its_colour_is_no_lamps():
+    image, rgb = room("A")
+    shown = with_lamp(image, 2.5 * rgb, STRIP)
+    x, y, w, h = STRIP
+    inside = (x + 3, y + 3, w - 6, h - 6)
+    named = measure_lamp(shown, rectangle=inside, xyz_from_rgb=XYZ_FROM_RGB, expected=known())
+    assert not any("another colour" in text for text in named.warnings)
+    # Under the chart's own light, illuminant A, white reads (1, 1, 1): the colour that a warm lamp in view would have.
+    warm = with_lamp(image, 2.5 * np.ones(3), STRIP)
+    named = measure_lamp(warm, rectangle=inside, xyz_from_rgb=XYZ_FROM_RGB, expected=known())
+    assert any("another colour than the lamp can have in this camera" in text for text in named.warnings)
+    nobody_knows = measure_lamp(warm, rectangle=inside, xyz_from_rgb=XYZ_FROM_RGB)
+    assert not any("another colour" in text for text in nobody_knows.warnings)
+
+
 def test_a_camera_that_is_not_as_published_still_finds_the_module_but_says_so():
     image, rgb = room("A")
     lamp = find(with_lamp(image, 2.5 * rgb), expected=known(camera=(3.0, 1.0, 0.3)))

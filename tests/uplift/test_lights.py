@@ -129,6 +129,18 @@ def test_a_light_said_to_be_an_led_of_another_colour_than_white_leds_is_warned_o
     assert any("side of white phosphor LEDs" in text for text in lights.warnings) == warned
 
 
+def test_a_camera_that_errs_is_no_reason_to_doubt_that_an_led_is_one():
+    image = room(["D65", "LED-B2"])
+    off = image * np.array([0.96, 1.0, 0.96], np.float32)
+    declared = [Declared(at=A_AT, type="led")]
+
+    def doubted(**settings):
+        return any("side of white phosphor LEDs" in text for text in found(off, declared=declared, **settings).warnings)
+
+    assert doubted() and not doubted(calibration=0.04)
+    assert warm(found(off, calibration=0.04)).duv_sigma > 2 * warm(found(off)).duv_sigma
+
+
 def test_a_coloured_light_gets_a_warning_and_still_a_spectrum():
     lights = found(np.full((16, 32, 3), [0.0, 1.0, 0.0], np.float32))
     assert "Give its measured spectrum" in lights.warnings[0]

@@ -16,6 +16,7 @@ from uplift.spectrum import Observer, RGBSpace
 # Surfaces: up to 15 % where they are coloured at random.
 CCT_ERROR_DIRECT, CCT_ERROR_SURFACES, CCT_ERROR_OUTDOOR = 0.02, 0.10, 0.05
 DUV_ERROR_DIRECT, DUV_ERROR_SURFACES = 0.001, 0.010
+DUV_PER_MIRED = 0.00042  # the length of a mired in (u, v): 25 of them are 0.009 to 0.012
 SKY_SAYS_DAYLIGHT = 100.0  # how much likelier daylight is than any other kind where there is a sky, before any colour
 
 
@@ -53,7 +54,10 @@ def seen_of(clusters: Clusters, cluster: int, space: RGBSpace, estimator: str, c
     if outdoor:  # a sky's many colours are no uncertainty of what it gives to a level surface
         error, of_spread, across = CCT_ERROR_OUTDOOR, 0.0, 0.0
     sigma = float(np.sqrt((error * cct) ** 2 + of_spread**2 + (calibration * cct) ** 2))
-    duv_sigma = float(np.hypot(DUV_ERROR_DIRECT if direct or outdoor else DUV_ERROR_SURFACES, across))
+    # A camera that errs by so much along the locus errs across it as well.
+    of_camera = DUV_PER_MIRED * calibration * 1e6 / cct if np.isfinite(cct) and cct > 0 else 0.0
+    own = DUV_ERROR_DIRECT if direct or outdoor else DUV_ERROR_SURFACES
+    duv_sigma = float(np.sqrt(own**2 + across**2 + of_camera**2))
     return Seen(cct, duv, sigma, duv_sigma, sun, direct or outdoor or estimator == "paper")
 
 
