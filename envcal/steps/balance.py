@@ -179,7 +179,9 @@ def balance(
         "camera": profile.lamp.camera,
         "unit": None if unit is None else unit.model_dump(mode="json"),
         "chart_light": profile.light
-        and profile.light.model_dump(exclude={"emission", "sigma", "wavelengths_nm", "measured", "readings", "fitted"}),
+        and profile.light.model_dump(
+            exclude={"emission", "sigma", "wavelengths_nm", "measured", "readings", "fitted", "sensitivities"}
+        ),
     }
     r, g, b = profile.lamp.rgb
     now = ", ".join(f"{v:.4g}" for v in lamp_now)
