@@ -22,7 +22,7 @@ def told(
 ) -> list[str]:
     """One line per mistake, in the order of the file. A value that fails every branch of a union is told once."""
     found: dict[tuple[str | int, ...], list[str]] = {}
-    for item in error.errors(include_url=False, include_context=True):
+    for item in _worth_telling(tree, error, model):
         where = _path_in(tree, item["loc"])
         if item["type"] == "extra_forbidden" or item["type"] == "missing":
             where = tuple(item["loc"]) if _exists(tree, item["loc"][:-1]) else where
@@ -39,6 +39,20 @@ def told(
         message = f"{place}: {name}: {', or '.join(reasons)}"
         lines.append((line_of(tree, where), message if message.endswith("?") else message + "."))
     return [text for _, text in sorted(lines, key=lambda pair: pair[0])]
+
+
+def _worth_telling(tree: Any, error: ValidationError, model: type[Settings]) -> list[Mapping[str, Any]]:
+    """All mistakes; beside a setting that no mapping has, those that another of several mappings would have are no news."""
+    every: list[Mapping[str, Any]] = [dict(item) for item in error.errors(include_url=False, include_context=True)]
+
+    def of_another(item: Mapping[str, Any]) -> bool:
+        if item["type"] != "extra_forbidden":
+            return False
+        where = _path_in(tree, item["loc"])
+        return bool(where) and where[-1] in _known(model, where[:-1])
+
+    rest = [item for item in every if not of_another(item)]
+    return rest if any(item["type"] == "extra_forbidden" for item in rest) else every
 
 
 def _exists(tree: Any, loc: Sequence[str | int]) -> bool:
@@ -74,6 +88,8 @@ def _explain(item: Mapping[str, Any], where: Sequence[str | int], model: type[Se
     kind = item["type"]
     if kind == "extra_forbidden":
         known = _known(model, where[:-1])
+        if where[-1] in known:
+            return "cannot stand beside the other settings there; give one or the other"
         near = difflib.get_close_matches(str(where[-1]), known, n=1, cutoff=0.5)
         hint = f"did you mean `{near[0]}`?" if near else f"known here: {', '.join(known)}"
         return f"is not a setting; {hint}"
@@ -91,6 +107,15 @@ def _explain(item: Mapping[str, Any], where: Sequence[str | int], model: type[Se
             str(item["input"]), [c.strip("'") for c in choices.replace(" or ", ", ").split(", ")], n=1
         )
         return f"is {item['input']!r}; it can be {choices}" + (f"; did you mean {near[0]!r}?" if near else "")
+    if kind == "model_type":
+        field = _field(model, where)
+        own = (
+            [one for one in _inner_models(field.annotation) if one.__name__ == item["ctx"]["class_name"]]
+            if field
+            else []
+        )
+        keys = ", ".join(f"{name}: …" for one in own for name in one.model_fields)
+        return f"expected {{{keys}}}" if keys else f"is {_short(item['input'])}; expected settings by name"
     message = item["msg"][0].lower() + item["msg"][1:]
     return f"{message}, not {_short(item['input'])}"
 

@@ -227,3 +227,25 @@ def test_every_setting_has_a_description_for_editors():
     tree = json.loads(config.schema())
     for name, node in [("pipeline", tree), *tree["$defs"].items()]:
         walk(node, name)
+
+
+@pytest.mark.parametrize(
+    ("lamp", "told", "untold"),
+    [
+        ("{size: [0.05, 0.4], withn: 0.3}", ["balance.lamp.withn: is not a setting; did you mean `within`?"], "size"),
+        (
+            "{size: [0.05, 0.4], rectangle: [1, 2, 3, 4]}",
+            ["balance.lamp.rectangle: cannot stand beside the other settings there; give one or the other"],
+            "is not a setting",
+        ),
+        ("[1, 2, 3, 4, 5, 6, 7, 8]", ["expected {size: …, within: …}", "expected {rectangle: …}"], "Lamp"),
+    ],
+)
+def test_a_mistake_in_one_of_several_mappings_is_told_in_the_words_of_the_file(tmp_path, lamp, told, untold):
+    (tmp_path / "a.dng").write_bytes(b"")
+    (tmp_path / "p.yaml").write_text(f"capture: {{reference: a.dng}}\noutput: o\nbalance: {{lamp: {lamp}}}\n")
+    with pytest.raises(EnvcalError) as refused:
+        config.load(tmp_path / "p.yaml")
+    message = str(refused.value)
+    assert all(part in message for part in told)
+    assert untold not in message.replace(str(tmp_path), "")
