@@ -17,6 +17,7 @@ from calibrate.chart import ChartReference
 from calibrate.correct import fit_matrix
 from calibrate.trained import matrix_of_sensitivities
 from samples import spectra as published
+from uplift.cct import cct_duv, planck
 from uplift.difference import delta_e_2000
 from uplift.spectrometer import measure_light, reading_of
 from uplift.spectrometer.camera import fitted_model, model_of
@@ -27,7 +28,7 @@ Floats = npt.NDArray[np.float64]
 EYES = observer()
 SPACE = rgb_space("ITU-R BT.2020", observer=EYES)
 #: On the chart; a name with a plus is half and half, by luminance.
-ON_CHART = ("A", "FL2", "LED-B4+A", "D65")
+ON_CHART = ("A", "2000 K", "LED-B3", "FL2", "LED-B4+A", "D65")
 OTHERS = ("A", "LED-B4", "D65", "FL11", "LED-B1")
 WAYS = ("chart", "estimated", "sensitivities")
 NOISE = 0.01
@@ -37,13 +38,22 @@ _SEED = 5
 
 def lights(name: str) -> Floats:
     """Return a spectrum [81] of luminance 1, or the mean of two."""
-    parts = [illuminant(one, EYES) for one in name.split("+")]
+    parts = [
+        planck(EYES.wavelengths_nm, float(one[:-2])) if one.endswith(" K") else illuminant(one, EYES)
+        for one in name.split("+")
+    ]
     return np.asarray(sum(part / (part @ EYES.cmfs[:, 1]) for part in parts)) / len(parts)
 
 
 def test_colours() -> Floats:
     """Return 25 reflectances [25, 81] of the 99 of CIE 224:2017: things, not charts."""
     return np.ascontiguousarray(published.colour_samples()[1::4])
+
+
+def temperature_error(xyz_from_camera: Floats, sensitivities: Floats, light: Floats) -> float:
+    """Return the relative error of Ohno's colour temperature of a light."""
+    made, true = xyz_from_camera @ (light @ sensitivities), light @ EYES.cmfs
+    return float(abs(cct_duv(made[:2] / made.sum())[0] / cct_duv(true[:2] / true.sum())[0] - 1.0))
 
 
 def difference(xyz_from_camera: Floats, sensitivities: Floats, light: Floats) -> float:
@@ -97,13 +107,18 @@ def elsewhere(
     found: dict[str, Any] = {}
     for name in names:
         of_cameras: dict[str, list[float]] = {way: [] for way in WAYS}
+        warmth: dict[str, list[float]] = {way: [] for way in WAYS}
         for sensitivities in cameras:
             others = np.stack([anchored(one, EYES) for one in known if not np.array_equal(one, sensitivities)])
             for way, matrix in matrices(sensitivities, others, reflectances, reference, name).items():
                 errors = [difference(matrix, sensitivities, lights(one)) for one in (name, *OTHERS)]
                 of_cameras[way].append(float(np.mean(errors)))
+                warmth[way].append(temperature_error(matrix, sensitivities, lights(name)))
         worse = np.mean(np.array(of_cameras["estimated"]) > np.array(of_cameras["chart"]))
         told = "  ".join(f"{way} {np.mean(values):.2f} ({np.max(values):.2f})" for way, values in of_cameras.items())
         print(f"  {name:9} {told}  estimated is worse than the chart for {worse:.0%}", flush=True)
+        told = "  ".join(f"{way} {np.mean(values):.2%} ({np.max(values):.1%})" for way, values in warmth.items())
+        print(f"  {'':9} CCT of that light: {told}", flush=True)
         found[name] = {way: float(np.mean(values)) for way, values in of_cameras.items()} | {"worse": float(worse)}
+        found[name]["cct"] = {way: float(np.mean(values)) for way, values in warmth.items()}
     return found
